@@ -68,6 +68,7 @@ def gallery(docs: Path) -> str:
         options = [f"--scene {picture.scene}"]
         options += [f"--shape {picture.shape}"] if picture.shape else []
         options += [f"--light {picture.light}"] if picture.light else []
+        options += [f"--zoom {picture.zoom:g}"] if picture.zoom else []
         options += [f"--illuminant {picture.illuminant}"] if picture.illuminant != "D65" else []
         options += [f"--components {picture.components}"] if picture.components != "sum" else []
         options += [f"--quality {picture.quality}"] if picture.quality else []

@@ -42,7 +42,7 @@ from validation._rows import finish, row
 FIGURE = "relief_rcwa.png"
 STRONG, AGREE = 0.05, 0.01
 SAMPLES = 8192
-VECTOR_FEATURES = 256  # of a grating's period: the walls of the lamellar ones lie on them
+VECTOR_FEATURES = 512  # of a period: the walls of the lamellar ones, shares of 256 about its middle, lie on them
 LEVELS = (2.0, 5.0, 10.0)
 AGREED_COLOUR = 1.0  # dE00 between the two solvers' colours, for a group's colours to count
 MIDDLE_UM = 0.55

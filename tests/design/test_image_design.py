@@ -17,6 +17,7 @@ from nacre.formats.number_maps import read_process
 from nacre.light import delta_e_2000, lab_to_lch, lab_to_xyz, white_xyz, xyz_to_lab
 from nacre.optimise.image.files import read_picture
 from nacre.optimise.image.matching import HUE_COST, dither, has_same_hue, map_into_solid, match_colours
+from nacre.optimise.image.pixels import srgb_lab
 from nacre.optimise.task import read_task
 
 WHITE = white_xyz("D65", "10deg")
@@ -169,6 +170,22 @@ def seen(film: Any, thickness_nm: float) -> Array:
     )
 
 
+def test_without_dithering_each_pixel_has_the_nearest_level(tmp_path: Path) -> None:
+    picture = write_picture(tmp_path / "p.png", np.random.default_rng(8).uniform(0.0, 1.0, (16, 20, 3)))
+    target = anodised(picture, limits={"height_levels": 9, "dither": False})
+    made = nacre.design(target, tmp_path / "out")
+    values = np.load(tmp_path / "out/layers-0-thickness_nm.npy")
+    levels = np.linspace(5.0, 245.0, 9)
+    palette = np.array([seen(nacre.material(target["recipe"]), level) for level in levels])
+    asked = srgb_lab(read_picture(picture, "p"))
+    distance = delta_e_2000(asked[:, :, None], palette)
+    chosen = np.abs(values[..., None] - levels).argmin(axis=-1)
+    found = np.take_along_axis(distance, chosen[..., None], axis=-1)[..., 0]
+    assert np.all(found <= distance.min(axis=-1) + 2 * JUDGED)
+    assert made.best.facts["de00_mean"] == pytest.approx(distance.min(axis=-1).mean(), abs=JUDGED)
+    assert made.best.facts["seen_from_afar"] is False
+
+
 def test_levels_are_those_of_the_process_and_a_mask_has_a_layer_for_each(tmp_path: Path) -> None:
     import gdstk
 
@@ -250,6 +267,7 @@ def test_unsuitable_parameters_are_refused_in_one_line(tmp_path: Path) -> None:
     assert "cannot vary" in refused(cannot) and "layers[].thickness_nm" in refused(cannot)
     for levels in (1, 0, 257, 2.5):
         assert "levels" in refused({**good, "limits": {"height_levels": levels}})
+    assert "dither" in refused({**good, "limits": {"dither": False}})
     assert "only target" in refused(
         {**good, "target": [*good["target"], {"geometry": "specular 30", "hue_deg": [0, 90]}]}
     )

@@ -8,14 +8,12 @@ import os
 import sys
 
 ZIP, FOLDER, RECIPE = sys.argv[1:4]
-os.environ["BLENDER_USER_RESOURCES"] = os.path.join(FOLDER, "user")
-os.makedirs(os.path.join(FOLDER, "user", "extensions"), exist_ok=True)
+sys.path.append(os.path.join(os.path.dirname(__file__), "..", "..", "benchmarks"))
 
-import bpy  # noqa: E402  # reads the variable when imported
+from blender_scene import axis_of, ball_in_white, picture, start  # noqa: E402
 
-bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy = start(os.path.join(FOLDER, "user"), ZIP)
 found = {"version": bpy.app.version_string}
-bpy.ops.extensions.package_install_files(filepath=ZIP, repo="user_default", enable_on_install=True)
 NAME = next(name for name in bpy.context.preferences.addons.keys() if name.endswith(".nacre"))
 extension = sys.modules[NAME]
 
@@ -29,34 +27,13 @@ def attempt(operator, **settings):
     return ""
 
 
-def render(path, size=256, samples=16):
-    scene = bpy.context.scene
-    scene.render.engine = "CYCLES"
-    scene.cycles.samples, scene.cycles.use_denoising = samples, False
-    scene.render.resolution_x = scene.render.resolution_y = size
-    scene.render.image_settings.file_format = "PNG"
-    scene.render.filepath = path
-    bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(path)
-    pixels = list(image.pixels)
-    middle = 4 * (size * (size // 2) + size // 2)
-    return pixels[middle : middle + 3]
+def render(name, size=256, samples=16):
+    return picture(bpy, os.path.join(FOLDER, name), size, samples)
 
 
 scene = bpy.context.scene
-bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32)
-bpy.ops.object.shade_smooth()
-ball = bpy.context.object
-bpy.ops.object.camera_add(location=(0, -4, 0), rotation=(1.5707963, 0, 0))
-scene.camera = bpy.context.object
-world = bpy.data.worlds.new("white")
-scene.world = world
-world.use_nodes = True
-world.node_tree.nodes["Background"].inputs["Color"].default_value = (1, 1, 1, 1)
+ball = ball_in_white(bpy)
 scene.view_settings.view_transform = "Standard"
-bpy.context.view_layer.objects.active = ball
-bpy.ops.object.select_all(action="DESELECT")
-ball.select_set(True)
 
 # what comes with the extension needs no nacre
 kept = os.environ.pop("NACRE_PYTHON")
@@ -67,11 +44,11 @@ found["assign"] = attempt(bpy.ops.nacre.assign, path=own[0]["path"])
 material = ball.active_material
 node = material.node_tree.nodes["nacre"]
 found["group"] = [node.node_tree.bl_idname, [socket.name for socket in node.inputs]]
-axis = next(one for one in material.nacre.numbers if one.is_axis)
+axis = axis_of(ball)
 found["axis"] = [axis.name, axis.low, axis.high]
-found["before"] = render(os.path.join(FOLDER, "before.png"))
+found["before"] = render("before.png")
 axis.value = axis.high
-found["after"] = render(os.path.join(FOLDER, "after.png"), samples=4)
+found["after"] = render("after.png", samples=4)
 found["input"] = node.inputs[axis.name].default_value
 axis.value = 10.0 * axis.high
 found["clamped"] = axis.value
@@ -133,7 +110,7 @@ group = material.node_tree.nodes["nacre"].node_tree
 found["images"] = sorted({n.image.filepath for n in group.nodes if n.type == "TEX_IMAGE"})
 bpy.ops.wm.save_mainfile()
 bpy.ops.wm.open_mainfile(filepath=os.path.join(FOLDER, "project.blend"))
-found["baked"] = render(os.path.join(FOLDER, "baked.png"), 64)
+found["baked"] = render("baked.png", 64)
 bpy.ops.preferences.addon_disable(module=NAME)
 found["disabled"] = not hasattr(bpy.types.Scene, "nacre")
 print("FOUND " + json.dumps(found))

@@ -46,7 +46,7 @@ def scene(bsdf: Any, lamp: bool) -> dict[str, Any]:
     """Return a sphere before the eye, so far away that it is seen in parallel; a lamp at the side or a bright sky."""
     import mitsuba as mi
 
-    from nacre.picture.spectral import band_film
+    from nacre.picture.passes import band_film
 
     towards = np.radians(LAMP_DEG)
     light: dict[str, Any] = {"type": "constant", "radiance": 1.0}

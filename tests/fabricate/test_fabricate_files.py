@@ -20,7 +20,7 @@ from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Tile
 from nacre.formats.calibration import PUBLISHED_CALIBRATION, read_calibration
-from nacre.formats.height_fields import write_png16, write_tiff16
+from nacre.formats.number_maps import write_png16, write_tiff16
 from nacre.matter.indices.library import index
 
 
@@ -104,7 +104,7 @@ def test_a_50_mm_wafer_at_1600_nm_streams(tmp_path: Path) -> None:
     code = (
         "import re, sys; sys.path.insert(0, sys.argv[2])\n"
         "import numpy as np\n"
-        "from nacre.formats.height_fields import write_tiff16, write_png16\n"
+        "from nacre.formats.number_maps import write_tiff16, write_png16\n"
         "tile = np.random.default_rng(0).integers(201, 989, (32, 32)).astype(np.uint16)\n"
         "write_png16(sys.argv[1] + '/wafer.png', tile, {}, 1.6, 31250, 31250)\n"
         "write_tiff16(sys.argv[1] + '/wafer.tif', tile, {}, 1.6, 31250, 31250)\n"
@@ -261,7 +261,7 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import nacre.formats.height_fields as module
+    import nacre.formats.number_maps as module
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")

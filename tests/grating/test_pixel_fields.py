@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.formats.pixel_fields import write_pixel_field
+from nacre.formats.layouts import write_pixel_field
 from nacre.optimise.image.files import ParameterMap
 from nacre.optimise.image.pixels import write_pixels
 

@@ -254,7 +254,7 @@ def test_what_was_rounded_for_its_words_is_rounded_no_more():
 def test_a_density_of_tents_is_linear_between_its_nodes_and_its_draws_follow_it(trials):
     import mitsuba as mi
 
-    from nacre.device.bilinear_sampling import BilinearDensity
+    from nacre.device.lobes.monolayer import BilinearDensity
 
     generator = np.random.default_rng(4)
     weights = generator.uniform(0.2, 2.0, (2, 2, 4, 5))

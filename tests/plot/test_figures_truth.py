@@ -229,7 +229,7 @@ def test_the_michel_levy_chart_marks_the_retardance_of_a_sheet():
     assert abs(mark.get_xdata()[0] - 0.012 * 60_000) < 2.0
     own = np.asarray(figure.axes[0].images[0].get_array())[0, 0]
     chart = np.asarray(figure.axes[1].images[0].get_array())[0]
-    at = chart[int(round(720.0 / plot.polarisation.MICHEL_LEVY_NM * 1000))]
+    at = chart[int(round(720.0 / plot.spectra.MICHEL_LEVY_NM * 1000))]
     np.testing.assert_allclose(own, at, atol=0.08)  # the sheet reflects some 8 % of the light
 
 

@@ -128,7 +128,7 @@ def test_a_chequered_relief_sends_light_into_its_diagonals(tmp_path: Path) -> No
     assert 0.5 < total < 1.0
 
 
-@pytest.mark.parametrize("name", ["lamellar-18", "lamellar-25", "sinusoidal-31"])
+@pytest.mark.parametrize("name", ["lamellar-4", "lamellar-18", "lamellar-25", "sinusoidal-31"])
 def test_colours_of_orders_are_those_of_two_other_solvers(name: str, tmp_path: Path) -> None:
     """The relief's recipe, on gratings of the validation that scalar diffraction misses."""
     group = next(each for each in read_groups() if each["name"] == name)

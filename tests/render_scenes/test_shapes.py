@@ -10,7 +10,6 @@ import pytest
 
 from nacre.picture.shapes import backdrop, insects, objects, printed
 from nacre.picture.shapes.car import car
-from nacre.picture.shapes.implicit import smooth_max, smooth_min, surface_net
 from nacre.picture.shapes.mesh import (
     Mesh,
     bspline,
@@ -20,7 +19,10 @@ from nacre.picture.shapes.mesh import (
     parametric,
     revolve,
     rotation,
+    smooth_max,
+    smooth_min,
     split,
+    surface_net,
 )
 from nacre.picture.shapes.objects import speedshape
 

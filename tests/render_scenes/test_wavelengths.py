@@ -31,7 +31,7 @@ def drawn(response: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_light_keeps_its_colour_and_each_part_of_it_has_less_noise() -> None:
-    from nacre.picture.spectral import wavelength_density
+    from nacre.picture.passes import wavelength_density
 
     ours, wavelengths = drawn(wavelength_density())
     theirs, _ = drawn(None)
@@ -63,7 +63,7 @@ def test_pictures_keep_their_mean(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_wavelength_that_rounding_puts_beyond_the_last_is_dark() -> None:
     """Light over a density of nothing is no number: a path in 60,000 left its pixel black."""
     from nacre.device.variant import use_variant
-    from nacre.picture.spectral import divided, wavelength_density
+    from nacre.picture.passes import divided, wavelength_density
 
     mi = use_variant()
 

@@ -25,10 +25,10 @@ from nacre.studio.appearance import appearances
 from nacre.studio.edit import edited, line_of
 from nacre.studio.folder import STARTS, OpenedFolder
 from nacre.studio.form import family_form
-from nacre.studio.latest_only_worker import SupersededError
 from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
 from nacre.studio.session import json_data
+from nacre.studio.subprocess_jobs import SupersededError
 from nacre.studio.surroundings import ALPHAS, LAYERS, blurred_surroundings
 
 PORT, TOKEN = 8123, "a-token-for-the-tests"

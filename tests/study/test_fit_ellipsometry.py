@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.analysis.ellipsometry_data import EllipsometryData
+from nacre.analysis.ellipsometry import EllipsometryData
 from nacre.analysis.fit import Fit, fit_parameters, read_measurement, read_measurements, run_fit
 from nacre.analysis.ties import read_ties
 from nacre.cli import run

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from nacre.analysis import intervals as ci
-from nacre.analysis.ellipsometry_data import EllipsometryData, ellipsometry_data
+from nacre.analysis.ellipsometry import EllipsometryData, ellipsometry_data
 from nacre.analysis.fit_data import (
     ColourData,
     Data,

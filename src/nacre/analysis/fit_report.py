@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from nacre.analysis.ellipsometry_data import EllipsometryData
+from nacre.analysis.ellipsometry import EllipsometryData
 from nacre.analysis.fit import Fit, Measured, is_at_bound
 from nacre.analysis.fit_data import ColourData, Data, Joint, OrdersData, TextureData, parts_of
 from nacre.analysis.measured import POLARISED

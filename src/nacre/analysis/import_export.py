@@ -1,7 +1,5 @@
 """Export and import of materials, with a description of the lost properties."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -172,8 +170,7 @@ def _export_table(material: Material, folder: Path, illuminant: str, progress: C
 
 def _export_film(material: Material, target: str, path: Path, mesh: Path | None = None) -> dict[str, Any]:
     """Write the best-fitting thin film; in glTF on a mesh, with a thickness map if a number varies."""
-    from nacre.analysis.thickness_map import fit_thickness_map, varying_axis
-    from nacre.analysis.thin_film import covered_share, fit_thin_film
+    from nacre.analysis.thin_film import covered_share, fit_thickness_map, fit_thin_film, varying_axis
 
     if target == "usd" and path.suffix.lower() in (".usdc", ".usdz"):
         raise UnsupportedError(f"{path}: USD is written as text; allowed: a name that ends in .usda or .usd")
@@ -386,7 +383,7 @@ def _import_film(source: Path, recipe: Path, name: str | None = None) -> list[st
 
 def _write_grey(path: Path, thickness: ThicknessMap) -> None:
     """Write a thickness map as a grey picture with 16 bits; white is the thickest."""
-    from nacre.formats.height_fields import GREY, write_png_stream
+    from nacre.formats.number_maps import GREY, write_png_stream
 
     unit = np.clip(thickness.image, 0.0, 1.0)
     unit = 1.0 - unit if thickness.low_nm > thickness.high_nm else unit

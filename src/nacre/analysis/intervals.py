@@ -6,8 +6,6 @@ Regression Analysis, 1988, ch. 6). Resampling refines the fit to simulated data 
 the fit (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 9).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Spectra over angle and polarisation, and BSDF values, as fit data."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sweep files: the recipe, the points and their order, and the quantities to store."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json
@@ -44,13 +42,6 @@ class AxisSpec(RecipeModel):
 
     `read_points` reads and validates an axis; this model serves the key reference.
     """
-
-    forms: ClassVar[tuple[str, ...]] = (
-        "{start = 100, stop = 600, count = 51}",
-        "{start = 100, stop = 600, step = 10}",
-        "{low = 0.01, high = 0.3, log = true}",
-        '{values = ["Si", "Al"]}',
-    )
 
     values: list[Any] | None = pydantic.Field(default=None, description="a list of values", examples=[[100, 200, 400]])
     start: float | None = pydantic.Field(default=None, description="first value of the interval", examples=[100])
@@ -342,11 +333,6 @@ class MeasureSpec(RecipeModel):
 
 class SweepSpec(RecipeModel):
     """A sweep file: recipe, axes, sampling and stored quantities."""
-
-    example: ClassVar[Mapping[str, Any]] = {
-        "recipe": "film.toml",
-        "axes": {"layers[0].thickness_nm": {"start": 100, "stop": 600, "count": 51}},
-    }
 
     recipe: str = pydantic.Field(description="file of the recipe to vary", examples=["film.toml"])
     axes: Annotated[dict[str, Any], ByPath(AxisSpec, ({"type": "array"},))] = pydantic.Field(

@@ -1,7 +1,5 @@
 """A material as a package for three.js: its colour table, and colours under uniform light for light from all around."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Ties: recipe numbers that are computed from others, such as `layers[2].thickness_nm = layers[0].thickness_nm`."""
 
-from __future__ import annotations
-
 import ast
 import operator
 from collections.abc import Callable, Iterable, Mapping

@@ -6,8 +6,6 @@ on side a returns to side b in proportion `exchange[a, b]`. Energy is exact with
 symmetric; absorption follows the mean reflectance spectrum of the facets.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -5,8 +5,6 @@ are in a frame with alpha_x along x. Sources: Walter et al. 2007 (GGX, Beckmann,
 Torrance-Sparrow V-cavities, Ashikhmin & Shirley 2000, Heitz 2014.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

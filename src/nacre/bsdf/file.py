@@ -5,8 +5,6 @@ and the provenance. Declared sizes are checked before memory is allocated, and f
 Lobes are checked on loading: field types, invariants, and a trial evaluation.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import hashlib

@@ -7,8 +7,6 @@ Local frame: z is the surface normal, `wi` points to the light, `wo` to the view
 Values are unpolarised, in 1/sr, without the cosine; wavelength is the last axis.
 """
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ field's last bit; the encoder chooses the field so that both together approximat
 unnecessary.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

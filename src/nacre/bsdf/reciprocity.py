@@ -3,8 +3,6 @@
 A symmetric Sinkhorn iteration (Sinkhorn, Ann. Math. Statist. 35, 876 (1964)), which preserves reciprocity.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from nacre.core.arrays import Array

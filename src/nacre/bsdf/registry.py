@@ -4,8 +4,6 @@ A new lobe needs one line here and one in `nacre.device.bsdf`, or an entry point
 package. Lobes and Mitsuba plugins do not import this file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module

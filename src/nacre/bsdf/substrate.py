@@ -4,8 +4,6 @@ Depths are in units of each stratum and indices are relative to the ambient, so 
 different nodes are resampled to the finer nodes.
 """
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -53,14 +53,6 @@ def _albedo_may_name_a_recipe(schema: dict[str, Any]) -> None:
 class SubstrateSpec(RecipeModel):
     """The base: a diffuse albedo, a metal, another recipe of any family, or an open lower side."""
 
-    forms: ClassVar[tuple[str, ...]] = (
-        "{albedo = 0.05}",
-        '{albedo = {file = "albedo.csv"}}',
-        '{material = "Al", roughness = 0.2}',
-        '{recipe = "film.toml"}',
-        "{none = true}",
-    )
-
     model_config = pydantic.ConfigDict(json_schema_extra=_albedo_may_name_a_recipe)
 
     albedo: Share | AlbedoSpec | None = pydantic.Field(

@@ -43,11 +43,6 @@ class TextureSpec(RecipeModel):
 
     noun: ClassVar[str] = "texture"
     one_of: ClassVar[tuple[str, ...]] = ("texture", "formula")
-    forms: ClassVar[tuple[str, ...]] = (
-        '{texture = "grey.png", min = 0.1, max = 0.7}',
-        '{formula = "0.1 + 0.6*v"}',
-        '{formula = "0.5 + 0.5*sin(20*u)", min = 0.1, max = 0.7}',
-    )
 
     texture: str | None = pydantic.Field(
         default=None, description="an image beside the recipe, 8 or 16 bit, read as grey", examples=["grey.png"]

@@ -11,6 +11,7 @@ import click
 from nacre.cli import common
 from nacre.cli.common import COMPILING, LONG_COMPILE_S
 from nacre.core.errors import NacreError
+from nacre.core.files import check_output, check_room, check_writable, read_text, short_name, write_text
 from nacre.core.jobs import Workers
 
 MAX_LISTED = 20  # colours of a batch
@@ -43,7 +44,6 @@ def design(
     """
     import os
 
-    from nacre.core.files import check_room, check_writable
     from nacre.optimise.run import run
     from nacre.optimise.solutions import NEED_BYTES
 
@@ -209,7 +209,6 @@ def gamut(
     changes: tuple[str, ...], **search: Any,
 ) -> None:  # fmt: skip
     """Show the colours that RECIPE reaches with its parameters, in a*b* and xy, and their share of all colours."""
-    from nacre.core.files import check_output, short_name, write_text
     from nacre.optimise.gamut import find_gamut, gamut_chart, gamut_page
 
     path = Path(output) if output else None if as_json else Path(f"{short_name(recipe)}-gamut.png")
@@ -272,7 +271,6 @@ def fabricate(
 ) -> None:  # fmt: skip
     """Write the files to make a design or a material."""
     from nacre.api import fabricate as write
-    from nacre.core.files import check_writable, short_name
     from nacre.formats.fabrication import SUFFIXES
     from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
 
@@ -392,7 +390,6 @@ def _percent(share: float) -> str:
 
 
 def _rematch(task: Any, batch: str, made: Path, answer: int, as_json: bool) -> None:
-    from nacre.core.files import read_text
     from nacre.optimise.colour_list import read_colours
     from nacre.optimise.formulation import STARTED, SUMMARY, rematch
 

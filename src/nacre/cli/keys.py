@@ -1,7 +1,5 @@
 """`nacre keys`: reference of the keys of recipes, targets and sweeps, and JSON Schemas for editors."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import textwrap

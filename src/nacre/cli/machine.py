@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from nacre.cli import common
+from nacre.core.files import check_writable
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -76,7 +77,6 @@ def indices_show(name: str, output: str | None, as_json: bool) -> None:
     """Show source, range and values of an optical constant."""
     import numpy as np
 
-    from nacre.core.files import check_writable
     from nacre.matter.indices import library
 
     if output:
@@ -197,7 +197,6 @@ def blender(recipes: tuple[str, ...], output: str) -> None:
     In Blender: Preferences, Get Extensions, Install from Disk. Each RECIPE is solved now and comes with the
     extension, for machines without nacre.
     """
-    from nacre.core.files import check_writable
     from nacre.studio.blender import write_extension
 
     check_writable(output)

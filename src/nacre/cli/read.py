@@ -11,6 +11,7 @@ import click
 
 from nacre.cli import common
 from nacre.core.errors import NacreError
+from nacre.core.files import check_writable
 
 if TYPE_CHECKING:
     from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
@@ -42,7 +43,6 @@ def read(
     **given: Any,
 ) -> None:  # fmt: skip
     """Say what FILE contains: format, quantities, units, range, and what was assumed or left out."""
-    from nacre.core.files import check_writable
     from nacre.readers import report
     from nacre.readers.measurement import ReadOptions
 

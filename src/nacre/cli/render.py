@@ -1,7 +1,5 @@
 """Commands that show a material: render, demo, studio."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +9,7 @@ import click
 from nacre.cli import common
 from nacre.cli.common import STATUS_INTERRUPTED, STOPPED
 from nacre.core.errors import NacreError
+from nacre.core.files import check_writable, short_name
 
 MOVIES = (".gif", ".mp4")
 SCENES = (
@@ -98,11 +97,7 @@ SCENES = (
 )
 @click.option("--frames", type=click.IntRange(2, 100_000), default=48, show_default=True)
 @click.option(
-    "-o",
-    "output",
-    default=None,
-    metavar="FILE",
-    help="png, jpg, webp, exr, gif, mp4. Default: RECIPE.png, .gif.",
+    "-o", "output", default=None, metavar="FILE", help="png, jpg, webp, exr, gif, mp4. Default: RECIPE.png, .gif."
 )
 @common.set_option
 @common.cache_option
@@ -113,7 +108,6 @@ def render(
     workers: Any, **settings: Any,
 ) -> None:  # fmt: skip
     """Render a material on an object."""
-    from nacre.core.files import check_writable, short_name
     from nacre.picture.images import STILL_SUFFIXES
     from nacre.picture.interrupt import leaving_at_once
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from nacre.cli import common
 from nacre.core.errors import NacreError, UnsupportedError
+from nacre.core.files import atomic_path, check_output, check_writable, plain, short_name, why_unreadable, write_text
 from nacre.formats.export_formats import EXPORTS, FOLDERS, export_remarks
 
 PLOT_KINDS = (
@@ -47,7 +48,6 @@ def spectrum(
     output: str | None, changes: tuple[str, ...], workers: Any,
 ) -> None:  # fmt: skip
     """Print reflectance and transmittance of RECIPE over angle and wavelength."""
-    from nacre.core.files import check_output
     from nacre.material.material import recipe_provenance
 
     if output:
@@ -87,7 +87,6 @@ def orders(
 ) -> None:  # fmt: skip
     """Print the efficiencies of the diffraction orders of RECIPE, for s and p polarised light."""
     from nacre import api
-    from nacre.core.files import check_output
     from nacre.material.material import recipe_provenance
 
     if output:
@@ -116,7 +115,6 @@ def orders(
 
 def _answer(document: Mapping[str, Any], text_csv: str, output: str | None, as_json: bool) -> None:
     """Write a table to a file, as CSV or JSON by its suffix, and print it as JSON, or as CSV without a file."""
-    from nacre.core.files import write_text
 
     if output:
         write_text(output, text_csv if output.endswith(".csv") else json.dumps(document) + "\n")
@@ -196,7 +194,6 @@ def evaluate(
     changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Evaluate the BSDF of RECIPE for given directions (the non-delta part, 1/sr, without the cosine)."""
-    from nacre.core.files import atomic_path, check_output
     from nacre.material.material import recipe_provenance
     from nacre.measure.evaluate import evaluate_with_error
 
@@ -216,7 +213,6 @@ def evaluate(
 
 
 def _read_directions(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    from nacre.core.files import plain, why_unreadable
 
     try:
         with np.load(plain(path), allow_pickle=False) as data:
@@ -269,7 +265,6 @@ def plot(
     over: str | None, lightness: float | None, part: str | None, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Draw a figure of RECIPE in publication quality, or of a sweep: gamut, colour-map or parallel coordinates."""
-    from nacre.core.files import check_output, short_name
     from nacre.plot.material import plot_material
 
     is_sweep = Path(recipe).suffix == ".zarr"
@@ -336,7 +331,6 @@ def compile_(
     recipe: str, wavelengths_nm: str | None, output: str | None, changes: tuple[str, ...], workers: Any
 ) -> None:
     """Solve RECIPE and store its BSDF for repeated rendering."""
-    from nacre.core.files import check_output, short_name
 
     path = Path(output) if output else Path(f"{short_name(recipe)}.nacre")
     check_output(path, ".nacre")
@@ -381,7 +375,6 @@ def export(
 ) -> None:  # fmt: skip
     """Write RECIPE in the format of another program and list the properties that it cannot hold."""
     from nacre.analysis.import_export import export_material
-    from nacre.core.files import check_writable, short_name
     from nacre.formats.lut.write import check_folder
 
     path = Path(output) if output else Path(f"{short_name(recipe)}{EXPORTS[target]}")
@@ -428,7 +421,6 @@ def import_(
 ) -> None:  # fmt: skip
     """Read a measurement or a material of another program and write a recipe for it."""
     from nacre.analysis.import_export import import_material
-    from nacre.core.files import check_output
     from nacre.readers.measurement import ReadOptions
 
     path = Path(output) if output else Path(f"{Path(file).stem}.toml")

@@ -1,7 +1,5 @@
 """Arrays: types, conversion of arguments, unit vectors, linear interpolation on nodes."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

@@ -4,8 +4,6 @@ A message names the place (file and key), the given value and the allowed values
 with status 2; the API raises the same error.
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable
 

@@ -4,8 +4,6 @@ Items are sent in batches that grow with the workers' speed. Results return to t
 them: no result is written twice. Worker processes use one thread each; they end with the calling process.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -4,8 +4,6 @@ Code that allocates an array whose size depends on user input calls `check_memor
 memory of the machine or its container, which leaves room for copies and the program; `NACRE_MEMORY` sets another one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

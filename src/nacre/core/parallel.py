@@ -1,7 +1,5 @@
 """Threads: their number, parallel loops, and the BLAS thread limit."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import threading

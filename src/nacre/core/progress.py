@@ -3,8 +3,6 @@
 A front end may ask the user before announced work, show its progress, or stop it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import html
 import sys

@@ -1,7 +1,5 @@
 """Gauss-Legendre rules, each computed once."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

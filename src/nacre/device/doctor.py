@@ -1,7 +1,5 @@
 """Diagnosis of this machine for `nacre doctor`."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import importlib.util
 import os

@@ -7,8 +7,6 @@ without R M, T M. Visible normals make M = G1(wo). Sampling: Dupuy & Benyoub 202
 inversion in Mitsuba (Beckmann), inversion of the cosine power (Blinn, Ashikhmin & Shirley 2000).
 """
 
-from __future__ import annotations
-
 import abc
 from typing import Any
 

@@ -6,8 +6,6 @@ compiles a small kernel and checks the numbers. The result is cached in the user
 size and time.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import functools

@@ -3,8 +3,6 @@
 It receives its lobes as plugins and imports no list of them: a lobe may contain such a sum itself.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from typing import Any

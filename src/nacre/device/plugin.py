@@ -9,8 +9,6 @@ lobe returns the value for light along one and camera along the other direction;
 (n_o/n_i)^2 of refraction), `is_radiance(ctx)` distinguishes the roles.
 """
 
-from __future__ import annotations
-
 import abc
 import logging
 import math

@@ -4,8 +4,6 @@ Mitsuba multiplies Stokes vectors of light that travels along `-L` before and al
 being the directions to the light and to the viewer. Each wave has the implicit Stokes frame `mi.mueller.stokes_basis`.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The interface tables of `nacre.bsdf.response` on the device, with R and T in one look-up."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

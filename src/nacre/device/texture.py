@@ -1,7 +1,5 @@
 """Textures on the device: formula trees and images from `nacre.bsdf.texture`, and the object's own space."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ LLVM; and scalar_spectral with a warning, hundreds of times slower. Only spectra
 structural colour is a spectrum; the polarised ones are used only on request.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import importlib.util

@@ -26,13 +26,6 @@ class PartSpec(RecipeModel):
     """A part of the blend: another recipe, as a file or as a table with its family's keys."""
 
     forms: ClassVar[tuple[str, ...]] = ('{recipe = "film.toml"}', '{family = "film", substrate = "Ag"}')
-    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = (
-        {
-            "type": "object",
-            "required": ["family"],
-            "properties": {"family": {"type": "string", "description": "family of a recipe given as a table"}},
-        },
-    )
 
     recipe: str | dict[str, Any] = Field(
         description="recipe file of this part, or the recipe itself as a table", examples=["film.toml"]
@@ -46,13 +39,6 @@ class PartSpec(RecipeModel):
 
 class BlendSpec(RecipeModel):
     """Two recipes and a mask: `first` for mask 1 (white), `second` for mask 0 (black)."""
-
-    example: ClassVar[Mapping[str, Any]] = {
-        "family": "blend",
-        "first": {"recipe": "film.toml"},
-        "second": {"recipe": "other.toml"},
-        "mask": {"texture": "grey.png", "min": 0, "max": 1},
-    }
 
     varies: ClassVar[str] = "mask"
 

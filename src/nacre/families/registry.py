@@ -4,8 +4,6 @@ A family joins with a line here, or from another package by an entry point in th
 model. Families do not import this file.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 
 from nacre.core.errors import NacreError, RecipeError, did_you_mean

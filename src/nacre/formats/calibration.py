@@ -1,7 +1,5 @@
 """Process and calibration curves from two-column CSV files."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Export formats of materials, their requirements, and remarks on an exported file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

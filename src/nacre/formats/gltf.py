@@ -4,8 +4,6 @@ The number of `KHR_materials_iridescence` that varies is the thickness: a pictur
 green channel. glTF counts v downward.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 import json

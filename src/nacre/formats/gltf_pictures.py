@@ -1,7 +1,5 @@
 """Pictures that a glTF file contains or names."""
 
-from __future__ import annotations
-
 import base64
 import io
 import struct

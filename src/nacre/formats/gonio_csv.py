@@ -1,7 +1,5 @@
 """Goniometric measurements as CSV: theta_i, phi_i, theta_o, phi_o (degrees), wavelength (nm), value (1/sr)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

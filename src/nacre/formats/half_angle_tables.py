@@ -4,8 +4,6 @@ Three int32 sizes (90, 90, 180), then three planes of float64: red, green, blue,
 1.66/1500. Bins are uniform in the square root of theta_half, in theta_diff and in phi_diff (mod pi, by reciprocity).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Conversion of lobes to and from other formats: grids, tables, colour bases, losses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Writing of tabulated BSDFs for other programs: ASTM E1392, universal BRDF JSON, Speos text."""
 
-from __future__ import annotations
-
 import json
 import uuid
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """RGL tensor files (`.bsdf`) of Mitsuba's `measured` and pbrt: writing; `nacre.readers.bsdf.rgl` reads them."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping
 from pathlib import Path

@@ -4,8 +4,6 @@ Thickness is in nm in glTF and in um in OpenPBR; both store the square root of G
 dielectric base has `KHR_materials_ior`, a transmitting one `KHR_materials_transmission`.
 """
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path

@@ -5,8 +5,6 @@ towards the surface normal and grows counter-clockwise (Radiant's BSDF data inte
 here are plane-symmetrical: azimuths 0 to 180 degrees, one sample rotation.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

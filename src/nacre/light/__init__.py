@@ -5,13 +5,6 @@ the CIE 1931 2 degree observer. By default sRGB outputs are adapted to sRGB's wh
 white sheet stays white under every illuminant.
 """
 
-from nacre.light.adaptation import ADAPTATIONS as ADAPTATIONS
-from nacre.light.adaptation import Adaptation as Adaptation
-from nacre.light.adaptation import IlluminantShift as IlluminantShift
-from nacre.light.adaptation import adapt_xyz as adapt_xyz
-from nacre.light.adaptation import adaptation_matrix as adaptation_matrix
-from nacre.light.adaptation import illuminant_shift as illuminant_shift
-from nacre.light.adaptation import metamerism as metamerism
 from nacre.light.colour_differences import colour_difference as colour_difference
 from nacre.light.colour_differences import delta_e_76 as delta_e_76
 from nacre.light.colour_differences import delta_e_94 as delta_e_94
@@ -21,8 +14,15 @@ from nacre.light.colour_differences import delta_e_cmc as delta_e_cmc
 from nacre.light.colour_differences import delta_e_din99o as delta_e_din99o
 from nacre.light.colour_differences import delta_e_din6175 as delta_e_din6175
 from nacre.light.colour_differences import lab_to_din99o as lab_to_din99o
+from nacre.light.display import ADAPTATIONS as ADAPTATIONS
+from nacre.light.display import Adaptation as Adaptation
 from nacre.light.display import Clipped as Clipped
+from nacre.light.display import IlluminantShift as IlluminantShift
+from nacre.light.display import adapt_xyz as adapt_xyz
+from nacre.light.display import adaptation_matrix as adaptation_matrix
 from nacre.light.display import clip_to_srgb as clip_to_srgb
+from nacre.light.display import illuminant_shift as illuminant_shift
+from nacre.light.display import metamerism as metamerism
 from nacre.light.display import outside_srgb as outside_srgb
 from nacre.light.display import spectrum_to_rgb_linear as spectrum_to_rgb_linear
 from nacre.light.display import spectrum_to_rgb_matrix as spectrum_to_rgb_matrix

@@ -1,7 +1,5 @@
 """Colour-difference formulas of CIELAB colours: CIE76, CIE94, CMC(l:c), CIEDE2000, DIN99o and DIN 6175-2."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

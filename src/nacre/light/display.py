@@ -7,25 +7,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError
-from nacre.light.adaptation import Adaptation, adapt_xyz, adaptation_matrix
-from nacre.light.spaces import (
-    RGB_TO_XYZ,
-    SRGB_WHITE_XYZ,
-    XYZ_TO_RGB,
-    lab_f,
-    lab_f_inverse,
-    srgb_encode,
-    srgb_to_hex,
-    xyz_to_srgb_linear,
-)
+from nacre.core.errors import NacreError, did_you_mean
+from nacre.light import spaces
+from nacre.light.colour_differences import delta_e_76, delta_e_2000
 from nacre.light.tables import Illuminant
-from nacre.light.tristimulus import weighted_sum, white_xyz, xyz_weights
+from nacre.light.tristimulus import spectrum_to_xyz, weighted_sum, white_xyz, xyz_weights
+
+if TYPE_CHECKING:
+    pass
 
 
 def spectrum_to_rgb_matrix(
@@ -49,9 +44,9 @@ def spectrum_to_rgb_matrix(
     weights = xyz_weights(wavelengths_nm, illuminant, observer)
     name = illuminant if isinstance(illuminant, str) else illuminant.name
     if adaptation != "none" and (name.upper(), observer) == ("D65", "2deg"):
-        return weights @ XYZ_TO_RGB.T
-    adapt = adaptation_matrix(white_xyz(illuminant, observer), SRGB_WHITE_XYZ, adaptation)
-    return weights @ adapt.T @ XYZ_TO_RGB.T
+        return weights @ spaces.XYZ_TO_RGB.T
+    adapt = adaptation_matrix(white_xyz(illuminant, observer), spaces.SRGB_WHITE_XYZ, adaptation)
+    return weights @ adapt.T @ spaces.XYZ_TO_RGB.T
 
 
 def spectrum_to_rgb_linear(
@@ -81,7 +76,7 @@ def spectrum_to_srgb(
         >>> spectrum_to_srgb(np.full(81, 0.5), np.arange(380.0, 781.0, 5.0)).round(3).tolist()
         [0.735, 0.735, 0.735]
     """
-    return srgb_encode(
+    return spaces.srgb_encode(
         clip_to_srgb(spectrum_to_rgb_linear(values, wavelengths_nm, illuminant, observer, adaptation)).rgb
     )
 
@@ -97,8 +92,8 @@ def swatch_hex(xyz: ArrayLike, white: ArrayLike) -> str:
         >>> swatch_hex(white_xyz("A"), white_xyz("A"))
         '#ffffff'
     """
-    adapted = np.clip(adapt_xyz(np.clip(xyz, 0.0, None), white, SRGB_WHITE_XYZ), 0.0, None)
-    return srgb_to_hex(srgb_encode(clip_to_srgb(xyz_to_srgb_linear(adapted)).rgb))
+    adapted = np.clip(adapt_xyz(np.clip(xyz, 0.0, None), white, spaces.SRGB_WHITE_XYZ), 0.0, None)
+    return spaces.srgb_to_hex(spaces.srgb_encode(clip_to_srgb(spaces.xyz_to_srgb_linear(adapted)).rgb))
 
 
 # Half an 8-bit step at the dark end, the finest step of linear light: a smaller excess over the gamut is invisible
@@ -171,21 +166,21 @@ def outside_srgb(rgb: Array) -> NDArray[np.bool_]:
 
 def _lower_chroma(rgb: Array) -> Array:
     """Clip colours `[n, 3]` outside the gamut."""
-    f = lab_f(rgb @ RGB_TO_XYZ.T / SRGB_WHITE_XYZ)
+    f = spaces.lab_f(rgb @ spaces.RGB_TO_XYZ.T / spaces.SRGB_WHITE_XYZ)
     fy = f[:, 1]
-    grey = lab_f_inverse(fy)
+    grey = spaces.lab_f_inverse(fy)
     result = np.repeat(np.clip(grey, 0.0, 1.0)[:, None], 3, axis=1)
     rows = np.flatnonzero((grey > 0.0) & (grey < 1.0))
     if len(rows) == 0:
         return result
-    fy, y = fy[rows], grey[rows] * SRGB_WHITE_XYZ[1]
+    fy, y = fy[rows], grey[rows] * spaces.SRGB_WHITE_XYZ[1]
     dx, dz = f[rows, 0] - fy, f[rows, 2] - fy
     good, bad = np.zeros(len(rows)), np.ones(len(rows))
 
     def at(scale: Array) -> list[Array]:
-        x = lab_f_inverse(fy + scale * dx) * SRGB_WHITE_XYZ[0]
-        z = lab_f_inverse(fy + scale * dz) * SRGB_WHITE_XYZ[2]
-        return [m[0] * x + m[1] * y + m[2] * z for m in XYZ_TO_RGB]
+        x = spaces.lab_f_inverse(fy + scale * dx) * spaces.SRGB_WHITE_XYZ[0]
+        z = spaces.lab_f_inverse(fy + scale * dz) * spaces.SRGB_WHITE_XYZ[2]
+        return [m[0] * x + m[1] * y + m[2] * z for m in spaces.XYZ_TO_RGB]
 
     parts = PARTS if len(rows) <= FEW else 2
     inner = np.arange(1, parts)[:, None] / parts
@@ -200,3 +195,125 @@ def _lower_chroma(rgb: Array) -> Array:
         good, bad = good + first * step, good + (first + 1) * step
     result[rows] = np.stack(at(good), axis=1)
     return result
+
+
+# Chromatic adaptation, colour inconstancy between illuminants, and metamerism.
+
+Adaptation = Literal["bradford", "none"]
+ADAPTATIONS = ("bradford", "none")
+
+# Lam 1985, as used by ICC profiles: XYZ to sharpened cone responses.
+BRADFORD: Array = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+
+
+def adaptation_matrix(white_from: ArrayLike, white_to: ArrayLike, method: Adaptation = "bradford") -> Array:
+    """Return the `[3, 3]` matrix from XYZ under one white to the corresponding XYZ under another.
+
+    Bradford's transform for complete adaptation: each sharpened cone response is scaled by the ratio of the whites'
+    responses. "none" is the identity.
+
+    Raises:
+        NacreError: unknown method.
+    """
+    if method == "none":
+        return np.eye(3)
+    if method != "bradford":
+        raise NacreError(
+            f'adaptation "{method}" is not known.{did_you_mean(str(method), ADAPTATIONS)} '
+            f"Choose from {', '.join(ADAPTATIONS)}"
+        )
+    gain = (BRADFORD @ np.asarray(white_to, dtype=float)) / (BRADFORD @ np.asarray(white_from, dtype=float))
+    return np.linalg.solve(BRADFORD, gain[:, None] * BRADFORD)
+
+
+def adapt_xyz(xyz: ArrayLike, white_from: ArrayLike, white_to: ArrayLike, method: Adaptation = "bradford") -> Array:
+    """Return XYZ `[..., 3]` adapted from one white to another; the white itself maps to the other white.
+
+    Example:
+        >>> adapt_xyz(white_xyz("A"), white_xyz("A"), white_xyz("D65")).round(4).tolist()
+        [0.9505, 1.0, 1.0888]
+    """
+    return np.asarray(xyz, dtype=float) @ adaptation_matrix(white_from, white_to, method).T
+
+
+@dataclass(frozen=True)
+class IlluminantShift:
+    """Colour change between two lights, for an observer adapted to each.
+
+    Attributes:
+        lab_from, lab_to: `[..., 3]`, CIELAB under each light, both after adaptation to D65.
+        delta_e_2000, delta_e_76: `[...]`, their distance.
+        delta_lightness, delta_chroma, delta_hue_deg: `[...]`, second minus first; hue in (-180, 180].
+    """
+
+    lab_from: Array
+    lab_to: Array
+    delta_e_2000: Array
+    delta_e_76: Array
+    delta_lightness: Array
+    delta_chroma: Array
+    delta_hue_deg: Array
+
+
+def illuminant_shift(
+    values: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    illuminant_from: str | Illuminant = "D65",
+    illuminant_to: str | Illuminant = "A",
+    observer: str = "2deg",
+) -> IlluminantShift:
+    """Return the colour shift of reflectances `[..., wavelength]` when the light changes.
+
+    Both colours are adapted to D65 by Bradford's transform and compared in CIELAB. A grey therefore does not shift,
+    and the result is the material's own inconstancy. CIE 15's colour inconstancy index also compares corresponding
+    colours, with another adaptation.
+
+    Raises:
+        NacreError: unusable wavelengths, unknown illuminant or observer.
+    """
+    reference = white_xyz("D65", observer)
+    first = _adapted_lab(values, wavelengths_nm, illuminant_from, observer, reference)
+    second = _adapted_lab(values, wavelengths_nm, illuminant_to, observer, reference)
+    lch_first, lch_second = spaces.lab_to_lch(first), spaces.lab_to_lch(second)
+    turn = lch_second[..., 2] - lch_first[..., 2]
+    return IlluminantShift(
+        lab_from=first,
+        lab_to=second,
+        delta_e_2000=delta_e_2000(first, second),
+        delta_e_76=delta_e_76(first, second),
+        delta_lightness=second[..., 0] - first[..., 0],
+        delta_chroma=lch_second[..., 1] - lch_first[..., 1],
+        delta_hue_deg=180.0 - (180.0 - turn) % 360.0,
+    )
+
+
+def metamerism(
+    values: ArrayLike,
+    other: ArrayLike,
+    wavelengths_nm: ArrayLike,
+    illuminant_from: str | Illuminant = "D65",
+    illuminant_to: str | Illuminant = "A",
+    observer: str = "2deg",
+) -> Array:
+    """Return the special metamerism index: dE00 under the second light for spectra that match under the first.
+
+    The multiplicative correction of CIE 15:2018, 9.2.2, removes a residual mismatch under the first light: the second
+    spectrum's XYZ under the second light are scaled by the ratios of the XYZ under the first.
+
+    Raises:
+        NacreError: unusable wavelengths, unknown illuminant or observer.
+    """
+    first = spectrum_to_xyz(values, wavelengths_nm, illuminant_from, observer)
+    first_other = spectrum_to_xyz(other, wavelengths_nm, illuminant_from, observer)
+    ratio = np.divide(first, first_other, out=np.ones_like(first * first_other), where=first_other > 0.0)
+    white = white_xyz(illuminant_to, observer)
+    second = spectrum_to_xyz(values, wavelengths_nm, illuminant_to, observer)
+    second_other = spectrum_to_xyz(other, wavelengths_nm, illuminant_to, observer) * ratio
+    return delta_e_2000(spaces.xyz_to_lab(second, white), spaces.xyz_to_lab(second_other, white))
+
+
+def _adapted_lab(
+    values: ArrayLike, wavelengths_nm: ArrayLike, light: str | Illuminant, observer: str, reference: Array
+) -> Array:
+    xyz = spectrum_to_xyz(values, wavelengths_nm, light, observer)
+    return spaces.xyz_to_lab(adapt_xyz(xyz, white_xyz(light, observer), reference), reference)

@@ -3,8 +3,6 @@
 XYZ has Y = 1 for a perfect white. L* runs from 0 to 100; hue angles are in degrees, as usual in colorimetry.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

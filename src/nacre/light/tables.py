@@ -4,8 +4,6 @@ The tables ship with the package (`tools/make_light_tables.py` writes them from 
 first use.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator
 from dataclasses import dataclass

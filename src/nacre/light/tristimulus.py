@@ -5,8 +5,6 @@ tables. The integral is linear in the samples, so it reduces to one weight for e
 a million spectra cost one matrix product. `smooth_weights` does the same for cubic splines.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Example recipes of the package: find, list and copy."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

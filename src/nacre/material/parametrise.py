@@ -4,8 +4,6 @@ The paths are located once in the validated recipe. A variant then validates the
 above them and builds the model; files are not read again, and unchanged tables are not built again.
 """
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping

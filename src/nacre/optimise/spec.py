@@ -176,7 +176,7 @@ class LimitsSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = (
         '{max_total_nm = 800, max_layers = "fewest"}',
-        "{height_levels = 8}",
+        "{height_levels = 8, dither = false}",
         "{within_validity = true}",
     )
 
@@ -191,6 +191,11 @@ class LimitsSpec(RecipeModel):
         description="of a picture: number of values, evenly spaced over its bounds, that the process gives each "
         "parameter; colours between them are dithered",
         examples=[8],
+    )
+    dither: bool = pydantic.Field(
+        default=True,
+        description="of a picture with height_levels: false gives each pixel the level of the nearest colour",
+        examples=[False],
     )
     dot_um: Annotated[float, pydantic.Field(ge=1.0, le=1000.0)] = pydantic.Field(
         default=10.0, description="of a hologram: side of a dot", examples=[10]

@@ -55,6 +55,8 @@ def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], so
         raise RecipeError(
             f"{source}: limits.height_levels = {spec.limits.height_levels}: only for pictures; no target is an image"
         )
+    if not spec.limits.dither:
+        raise RecipeError(f"{source}: limits.dither = false: only for pictures; no target is an image")
     if spec.layers is not None:
         return
     if spec.limits.max_layers is not None:

@@ -4,8 +4,6 @@ Building a scene anew for each picture increases memory and time (mitsuba3 issue
 the object's BSDF is updated or exchanged.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

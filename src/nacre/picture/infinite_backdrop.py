@@ -4,8 +4,6 @@ A larger mesh would stand before lamps and change the light. Instead, a missed r
 infinite backdrop is folded back into the finite one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

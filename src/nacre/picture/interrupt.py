@@ -3,8 +3,6 @@
 Solvers and compilers run outside Python for many seconds, during which Python does not handle signals.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """Picture options, grouped and validated: object, camera, lighting, sampling, tone, output."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence

@@ -16,8 +16,6 @@ against noise:
   `SOFT_LAMP_DEG`. Direct light, shadows and the sun's mirror images stay sharp.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Sequence

@@ -4,8 +4,6 @@ A picture is rendered in passes with a few samples per pixel, for progress repor
 Built scenes are cached; fifty pictures need no more memory than one.
 """
 
-from __future__ import annotations
-
 import functools
 import threading
 import time

@@ -1,7 +1,5 @@
 """Mitsuba and Dr.Jit, imported on first use, and Mitsuba plugins in Python."""
 
-from __future__ import annotations
-
 import functools
 import importlib
 import types

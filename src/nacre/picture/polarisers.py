@@ -5,8 +5,6 @@ Angles are those of the transmission axis from the horizontal, counter-clockwise
 circular is right?".
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

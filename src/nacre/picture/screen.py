@@ -11,8 +11,6 @@ a relief design, in its preview and in height maps (array rows run along x). On 
 the tile, the pattern is mirrored.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 from typing import Any

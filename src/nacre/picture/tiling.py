@@ -4,8 +4,6 @@ Each tile is rendered by the same camera off its axis, with the random numbers t
 picture; the result has no seams. All tiles have one height, therefore one kernel renders them all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Scattering figures: image slices of a BRDF, lobes in the plane of incidence, single particles."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Figures of any material by name, as drawn by `nacre plot`."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -18,13 +16,12 @@ from nacre.core.errors import NacreError, RecipeError, UnsupportedError, did_you
 from nacre.material.material import Material, MaterialLike, as_material, recipe_provenance
 from nacre.measure.colours import colour_bsdf, colour_grid, colour_spectrum
 from nacre.measure.evaluate import evaluate_with_error
-from nacre.plot import polarisation
-from nacre.plot.colours import chromaticity_figure, colour_map_figure
+from nacre.plot import spectra as polarisation
+from nacre.plot.colours import chromaticity_figure, colour_map_figure, material_tracks
 from nacre.plot.directions import SLICE_NODES, bsdf_slice_figure, lobe_figure, scattering_figure
 from nacre.plot.spectra import index_figure, parts_of, ribbon_figure, spectrum_figure
 from nacre.plot.structures import field_figure, microscope_figure, platelet_figure, structure_figure
 from nacre.plot.style import save_figure
-from nacre.plot.tracks import material_tracks
 
 KINDS = (
     "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",

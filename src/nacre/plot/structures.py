@@ -1,7 +1,5 @@
 """Structure figures: fields, stacks, flakes, structure factors, microscope images."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

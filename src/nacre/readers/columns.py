@@ -4,8 +4,6 @@ A reader states the quantities that it can use. Of these a heading may state one
 does not have is an error, unless the user names the columns or ignores them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,16 +14,7 @@ from nacre.core.errors import NacreError
 from nacre.readers.headings import DIMENSIONS, SPECTRAL_QUANTITIES, Meaning, meanings, mentions, polarisation_word
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions
 from nacre.readers.text_table import TableFile, TextTable, parse_tables, read_tables
-from nacre.readers.units import (
-    UNITS,
-    Floats,
-    in_range,
-    likely_unit,
-    normal,
-    parse_unit,
-    spectral_units,
-    to_nm,
-)
+from nacre.readers.units import UNITS, Floats, in_range, likely_unit, normal, parse_unit, spectral_units, to_nm
 
 TEXT_QUANTITIES = ("name", "hex", "polarisation")
 SAME_WAVELENGTH = 2e-3  # relative; columns of nm and eV are rounded

@@ -1,7 +1,5 @@
 """A file of measured data in a recipe or target: its name, or a table that also says what the file does not state."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -16,11 +14,6 @@ class FileSpec(RecipeModel):
 
     noun: ClassVar[str] = "measured file"
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"type": "string"},)
-    forms: ClassVar[tuple[str, ...]] = (
-        '"data.csv"',
-        '{file = "data.csv", unit = "um"}',
-        '{file = "data.csv", ignore = ["remark"]}',
-    )
 
     file: str = pydantic.Field(description="the file, beside the recipe", examples=["data.csv"])
     columns: tuple[str, ...] = pydantic.Field(

@@ -4,264 +4,38 @@
 meaning is an error of the reader.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 import unicodedata
 from dataclasses import dataclass, replace
 
-from nacre.readers.units import UNITS, normal, parse_unit
+from nacre.readers.units import UNITS, VOCABULARY, normal, parse_unit
 
-DIMENSIONS = {
-    "wavelength": "length",
-    "energy": "energy",
-    "wavenumber": "wavenumber",
-    "frequency": "frequency",
-    "angular_frequency": "angular_frequency",
-    "alpha": "wavenumber",
-    "angle_of_incidence": "angle",
-    "psi": "angle",
-    "delta": "angle",
-    "theta_i": "angle",
-    "phi_i": "angle",
-    "theta_o": "angle",
-    "phi_o": "angle",
-    "polariser": "angle",
-    "hue": "angle",
-    "x": "length",
-    "y": "length",
-    "z": "length",
-    "radius": "length",
-    "diameter": "length",
-    "thickness": "length",
-    "depth": "length",
-    "q": "wavenumber",
-    "time": "time",
-    "temperature": "temperature",
-    "voltage": "voltage",
-    "irradiance": "irradiance",
-}
+DIMENSIONS: dict[str, str] = VOCABULARY["dimensions"]
 NUMBER_UNITS = ("1", "arbitrary")
 ABSOLUTE = ("reflectance", "transmittance", "absorptance", "albedo", "n", "k", "eps1", "eps2", "alpha")  # scaled
 SPECTRAL_QUANTITIES = ("wavelength", "energy", "wavenumber", "frequency", "angular_frequency")
 
 # words are compared in lower case without accents, blanks and punctuation; Greek letters are spelt out
-WORDS: dict[str, str] = {
-    "wavelength": "wavelength wavelengths wavelenght wave waves wl wls wvl wvlen wavlen wlen lambda lambda0 lam "
-    "lambdavac vacuumwavelength wavelengthvac wavelengthinvacuum airwavelength lambdavacuum wellenlange "
-    "wellenlaenge vakuumwellenlange longueurdonde longueursdonde longitudonda longituddeonda lunghezzadonda "
-    "lunghezzaonda comprimentodeonda golflengte vaglangd bolgelaengde bølgelængde bølgelengde aallonpituus "
-    "dlugoscfali długoscfali vlnovadelka hullamhossz dalgaboyu 波長 波长 длинаволны wavelengthaxis spectralwavelength",
-    "energy": "energy photonenergy energyphoton eph ephoton hv hnu hbaromega photonenergie energie photonenenergie "
-    "energia energiafotone energiadelfoton energiedephoton photonenergies energies phenergy photenergy",
-    "wavenumber": "wavenumber wavenumbers wavenum wellenzahl nombredonde numerodeonda numerodonda golfgetal nutilde "
-    "wn wavenr wavenumberaxis vagtal vågtal 波数 волновоечисло ramanshift",
-    "frequency": "frequency freq frequenz frequence frecuencia frequenza frequencia opticalfrequency nu",
-    "angular_frequency": "angularfrequency angfreq angularfreq omega kreisfrequenz pulsation circularfrequency",
-    "n": "屈折率 折射率 "
-    "refractiveindex refractiveindices refindex refrindex refrind indexofrefraction brechungsindex brechzahl "
-    "brechungszahl indicen indicederefraction indicedirifrazione indicederefraccion realindex realn ren nreal nre "
-    "realrefractiveindex realpartofn realpartn refractiveindexn nrefractiveindex refractiveindexreal indexn nindex "
-    "rin refractiveindexrealpart realpartofrefractiveindex realpartoftherefractiveindex nprime ior "
-    "index_of_refraction reindex indexre",
-    "k": "消衰係数 消光系数 "
-    "kappa extinction extinctioncoefficient extinctioncoeff extcoeff extcoef extinctionk extinctioncoef "
-    "extinctionindex extinktionskoeffizient extinktionskoeff extinktionskoeffizientk absorptionsindex "
-    "absorptionindex imn imagn nimag nim kimag kimaginary imaginaryindex imaginaryn imaginaryrefractiveindex "
-    "imaginarypartofn imagpartofn coefficientdextinction coefficientedextinction extinctioncoefficientk "
-    "kextinctioncoefficient kextinction indexk kindex refractiveindeximaginary refractiveindeximag "
-    "coeficientedeextincion coefficientediestinzione nprimeprime ndoubleprime imaginarypartofrefractiveindex "
-    "imaginarypartoftherefractiveindex refractiveindeximaginarypart imindex imagindex indexim indicek",
-    "eps1": "eps1 epsilon1 e1 epsr epsre epsreal epsilonr epsilonreal epsilonre realeps realepsilon reeps reepsilon "
-    "ree ereal epsprime epsilonprime eprime realpermittivity permittivityreal permittivityre repermittivity "
-    "dielectricreal realpartofpermittivity realpartofepsilon realpartofeps realdielectric er1 "
-    "dielectricfunctionreal realdielectricfunction redielectricfunction realpartofthedielectricfunction "
-    "dielectricconstantreal realdielectricconstant epsi1 dielectric1 epsilonrealpart permittivityrealpart",
-    "eps2": "eps2 epsilon2 e2 epsi epsim epsimag epsilonimag epsilonim imageps imagepsilon imeps imepsilon ime "
-    "eimag eim epsdoubleprime epsilondoubleprime edoubleprime imagpermittivity permittivityimag permittivityim "
-    "impermittivity dielectricimag imaginarypermittivity imaginarypartofpermittivity imaginarypartofepsilon "
-    "imagpartofeps imaginaryeps imaginaryepsilon er2 dielectricfunctionimag imaginarydielectricfunction "
-    "imdielectricfunction imaginarypartofthedielectricfunction dielectricconstantimag imaginarydielectricconstant "
-    "epsi2 dielectric2 epsilonimaginary permittivityimaginary epsilonimaginarypart permittivityimaginarypart",
-    "alpha": "alpha absorptioncoefficient absorptioncoeff abscoeff abscoef absorptionskoeffizient "
-    "attenuationcoefficient coefficientdabsorption coeficientedeabsorcion",
-    "reflectance": "reflectance reflectivity reflection refl reflectanz reflektanz reflexion reflexionsgrad "
-    "reflektivitat reflektion reflektans reflectancia reflectividad riflettanza riflessione riflettivita remission "
-    "remissionsgrad remissionsfactor reflectancefactor reflectfactor reflectionfactor rfl reflectie 反射率 "
-    "коэффициентотражения reflect spectralreflectance measuredreflectance facteurdereflexion refle absolutereflectance",
-    "transmittance": "transmittance transmission transmissivity trans transm transmissionsgrad transmittanz "
-    "transmisson transmittancia transmitancia trasmittanza trasmissione transmissionfactor transmissie "
-    "transmissivitat transmisivity 透過率 透射率 пропускание transmit spectraltransmittance measuredtransmittance",
-    "absorptance": "absorptance absorptionsgrad absorptanz absorbtance absorption absorb",
-    "absorbance": "absorbance absorbanz absorbancia opticaldensity od abs absorbans assorbanza extinktion "
-    "absorption absorb",
-    "counts": "counts intensity intensitat signal scope rawcounts rawintensity detector intensite intensidad "
-    "rawsignal photoncounts intens int",
-    "sample_counts": "sample samplecounts samplesignal probe",
-    "dark_counts": "dark darkcounts darksignal darkcurrent dunkel darkreference",
-    "reference_counts": "reference referencecounts ref white whitereference whitecounts referenz",
-    "irradiance": "irradiance spectralirradiance radiance power spectralpower spd bestrahlungsstarke",
-    "angle_of_incidence": "aoi angle angles theta theta0 angleofincidence incidence incidenceangle incidentangle "
-    "anglein einfallswinkel winkel angledincidence angulo angulodeincidencia angolodiincidenza angolo inc incangle "
-    "inczenith thetai thetain thetainc angleincidence incidentangles phi0 aoincidence tilt",
-    "polarisation": "pol polarisation polarization polaris polariz polarizzazione polarizacion polstate "
-    "polarisationstate polarizationstate",
-    "polariser": "polariser polarizer polarisator polarizerangle polariserangle polangle polariserazimuth "
-    "polarizerazimuth polarizadorangle polarisationangle polarizationangle polarisatorwinkel polarisationswinkel "
-    "poldeg",
-    "psi": "psi ellipsometricpsi",
-    "delta": "delta del ellipsometricdelta",
-    "tan_psi": "tanpsi tanofpsi tgpsi",
-    "cos_delta": "cosdelta cosdel cosofdelta",
-    "ncs_n": "ncsn cos2psi",
-    "ncs_c": "ncsc sin2psicosdelta",
-    "ncs_s": "ncss sin2psisindelta",
-    "intensity": "intensityratio",
-    "theta_i": "thetai thetain thetainc",
-    "phi_i": "phii phiin phiinc",
-    "theta_o": "thetao thetaout thetar thetas thetaview thetascatter",
-    "phi_o": "phio phiout phir phis phiview phiscatter",
-    "value": "value values wert bsdf brdf btdf",
-    "name": "name names sample samples samplename sampleid standard id colour color label bezeichnung probe nom "
-    "nombre nome farbe patch patchname colourname colorname material specimen title swatch code muster",
-    "row_number": "no nr number index idx row point particle id num count zeile lfdnr lfd step seq sequence line "
-    "rank particleid pointid punkt numero n° nº item i # label pixel pixelnumber",
-    "area": "area mean min max mode flache surfacearea perimeter perim circ circularity solidity roundness round "
-    "aspectratio ar major minor feret feretangle minferet median skew kurt intden rawintden",
-    "gloss": "gloss glanz gloss60 gu haze de deltae de00 de2000 decmc whiteness opacity comment remark note bemerkung "
-    "date datum zeit timestamp folder geometry lamp met layers reachedl reacheda reachedb"
-    " depolarization depolarisation depol dpol",
-    "x": "x xm xc xpos xposition posx positionx xcoord xcoordinate coordx xcentre xcenter centrex centerx xcentroid "
-    "centroidx xkoordinate xloc xmean xo",
-    "y": "y ym yc ypos yposition posy positiony ycoord ycoordinate coordy ycentre ycenter centrey centery ycentroid "
-    "centroidy ykoordinate yloc ymean yo",
-    "z": "z zpos zposition posz positionz height zcoord",
-    "radius": "radius radii rad particleradius",
-    "diameter": "diameter dia diam durchmesser diametre diametro size particlediameter equivalentdiameter "
-    "feretdiameter ecd particlesize",
-    "thickness": "thickness total totalthickness dicke schichtdicke epaisseur espesor spessore filmthickness "
-    "flakethickness plateletthickness",
-    "depth": "depth tiefe profondeur profundidad depths etchdepth resistdepth",
-    "grey": "grey gray greyvalue grayvalue greylevel graylevel graustufe grauwert level dose",
-    "voltage": "voltage volts volt spannung bias u",
-    "share": "share shares fraction weight probability frequency volumefraction numberfraction anteil haufigkeit "
-    "haeufigkeit relativefrequency weights fractions pdf occurrence number count counts",
-    "q": "q scatteringvector wavevector momentumtransfer qvector qvalue",
-    "structure_factor": "sq structurefactor sofq strukturfaktor",
-    "albedo": "albedo albedos whitenessratio",
-    "time": "time zeit elapsedtime elapsed temps",
-    "temperature": "temperature temp temperatur",
-    "L": "l lightness ciel cielabl labl lstar lstarvalue helligkeit",
-    "a": "a ciea cielaba laba astar",
-    "b": "b cieb cielabb labb bstar",
-    "C": "c chroma ciec lchc cab cstar lcc cstarab buntheit",
-    "hue": "h hue hab lchh hueangle bunttonwinkel hdeg",
-    "X": "x xyzx tristimulusx ciex",
-    "Y": "y xyzy tristimulusy luminance ciey",
-    "Z": "z xyzz tristimulusz ciez",
-    "hunter_L": "hunterl lhunter lhunterlab hunterlabl",
-    "hunter_a": "huntera ahunter hunterlaba",
-    "hunter_b": "hunterb bhunter hunterlabb",
-    "hex": "hex hexcode rgbhex html htmlcode hexcolor hexcolour srgbhex webcolor colorhex colourhex hexrgb hexvalue",
-    "sr": "r red srgbr",
-    "sg": "g green srgbg",
-    "sb": "b blue srgbb",
-}  # fmt: skip
+WORDS: dict[str, str] = VOCABULARY["words"]
 # one or two letters: the case counts
-SYMBOLS: dict[str, tuple[str, ...]] = {
-    "n": ("n",),
-    "N": ("n", "ncs_n", "row_number"),
-    "k": ("k",),
-    "K": ("k",),
-    "R": ("reflectance", "sr"),
-    "T": ("transmittance", "temperature"),
-    "A": ("absorptance", "absorbance"),
-    "E": ("energy", "irradiance"),
-    "e": ("energy",),
-    "f": ("frequency",),
-    "F": ("frequency",),
-    "w": ("angular_frequency", "wavelength"),
-    "r": ("radius",),
-    "d": ("thickness", "diameter"),
-    "D": ("diameter",),
-    "t": ("time", "thickness"),
-    "S": ("structure_factor", "ncs_s"),
-    "s": (),
-    "Is": ("ncs_s",),
-    "Ic": ("ncs_c",),
-    "L": ("L",),
-    "l": ("L", "wavelength"),
-    "a": ("a",),
-    "b": ("b", "sb"),
-    "C": ("C", "ncs_c"),
-    "c": ("C",),
-    "h": ("hue",),
-    "H": ("hue",),
-    "X": ("x", "X"),
-    "Y": ("y", "Y"),
-    "Z": ("z", "Z"),
-    "x": ("x",),
-    "y": ("y",),
-    "z": ("z",),
-    "G": ("sg",),
-    "B": ("sb",),
-    "q": ("q",),
-    "Q": ("q",),
-    "U": ("voltage",),
-    "V": ("voltage",),
-    "i": ("row_number",),
-    "#": ("row_number",),
-    "p": (),
-    "P": (),
-    "µ": (),
-    "nu": ("frequency", "wavenumber"),
-    "sigma": ("wavenumber",),
-    "phi": ("angle_of_incidence",),
-}
-_GREEK = dict(
-    pair.split("=")
-    for pair in "α=alpha β=beta γ=gamma Γ=gamma δ=delta Δ=delta ∆=delta ε=epsilon η=eta θ=theta Θ=theta κ=kappa "
-    "λ=lambda Λ=lambda μ=mu ν=nu ρ=rho σ=sigma τ=tau φ=phi Φ=phi ψ=psi Ψ=psi ω=omega Ω=omega ħ=hbar "
-    "Ø=diameter ⌀=diameter".split()
-)
-ERROR_WORDS = frozenset(
-    "sigma err error errors std stdev stddev sd se unc uncertainty uncertainties standarddeviation standarderror "
-    "fehler unsicherheit standardabweichung messunsicherheit sigmas deviation incertitude erreur dev sem stderr".split()
-)
+SYMBOLS: dict[str, tuple[str, ...]] = {letters: tuple(names) for letters, names in VOCABULARY["symbols"].items()}
+_GREEK: dict[str, str] = VOCABULARY["greek"]
+ERROR_WORDS = frozenset(VOCABULARY["lists"]["errors"].split())
 _OF_ALL_WORDS: dict[str, tuple[str, ...]] = {}
 for _name, _words in WORDS.items():
     for _word in _words.split():
         _OF_ALL_WORDS[_word] = (*_OF_ALL_WORDS.get(_word, ()), _name)
-ILLUMINANT_WORDS = {
-    "a": "A", "b": "B", "c": "C", "d50": "D50", "d55": "D55", "d60": "D60", "d65": "D65", "d75": "D75", "e": "E",
-    "f2": "F2", "fl2": "F2", "f7": "F7", "fl7": "F7", "f11": "F11", "fl11": "F11", "tl84": "F11", "cwf": "F2",
-    "cwf2": "F2", "ill.a": "A", "illa": "A", "f12": "F12", "fl12": "F12", "fl1": "F1", "f1": "F1",
-}  # fmt: skip
+ILLUMINANT_WORDS: dict[str, str] = VOCABULARY["illuminants"]
 
 
 def _by_word(words: dict[str, str]) -> dict[str, str]:
     return {word: name for name, spelt in words.items() for word in spelt.split()}
 
 
-_MODES = _by_word(
-    {
-        "specular": "specular spec direct regular gerichtet directional speculaire",
-        "diffuse": "diffuse diff sce spex diffus rsex",
-        "total": "total tot hemispherical hemi sci spin rsin gesamt",
-    }
-)
-_POLARISATIONS = _by_word(
-    {
-        "s": "s te spol spolarised spolarized senkrecht perpendicular perp tepol ⊥",
-        "p": "p tm ppol ppolarised ppolarized parallel par tmpol ∥ ‖",
-        "unpolarised": "unpolarised unpolarized unpol depolarised unpolarisiert",
-    }
-)
-_IN_CELLS = {
-    **_POLARISATIONS,
-    **_by_word({"unpolarised": "sp mean u both none natural random avg 0.5*(s+p) (s+p)/2 s+p"}),
-}
+_MODES = _by_word(VOCABULARY["modes"])
+_POLARISATIONS = _by_word(VOCABULARY["polarisations"])
+_IN_CELLS = {**_POLARISATIONS, **_by_word(VOCABULARY["polarisations_in_cells"])}
 _WITH_POLARISATION = re.compile(r"(R|T)[ _]?(s|p|TE|TM|S|P)")
 # Rs_45, Rp(60): an angle without its unit behind the polarisation
 _POLARISED_ANGLE = re.compile(r"(%?\s?[RT])[ _]?(s|p|TE|TM|S|P)[ _]?[\[(]?(\d{1,2}(?:\.\d+)?)[\])]?")
@@ -279,19 +53,8 @@ _SUFFIX_UNIT = re.compile(
     r"%|percent|per_cent|per cent|pct|deg|degrees?|°|rad|px|pixels?)\.?",
     re.IGNORECASE,
 )  # fmt: skip
-_BARE_UNITS = _by_word(
-    {
-        "wavelength": "nm um angstrom",
-        "energy": "eV meV",
-        "wavenumber": "1/cm",
-        "frequency": "THz",
-        "angular_frequency": "rad/s rad/fs",
-    }
-)
-_FILLERS = frozenset(
-    "pol polarised polarized of the cie measured light value in at coefficient spectrum data spectral standard "
-    "deviation von de der hunter lab mean average avg".split()
-)
+_BARE_UNITS = _by_word(VOCABULARY["bare_units"])
+_FILLERS = frozenset(VOCABULARY["lists"]["fillers"].split())
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Contents of one measured spectrum, map, material or colour list, in canonical names and units."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Incidence angle and polarisation in the lines above a table, such as "AOI = 45 deg" or "s-polarized"."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -68,9 +66,7 @@ def read_preamble(titles: Sequence[str]) -> Preamble:
     one_angle, one_word = len(angles) == 1, len(words) == 1
     lines = [*(angles.values() if one_angle else ()), *(words.values() if one_word else ())]
     return Preamble(
-        next(iter(angles)) if one_angle else None,
-        next(iter(words)) if one_word else "",
-        tuple(dict.fromkeys(lines)),
+        next(iter(angles)) if one_angle else None, next(iter(words)) if one_word else "", tuple(dict.fromkeys(lines))
     )
 
 

@@ -1,17 +1,17 @@
 """Formats that nacre reads, their recognition by content, and the description of unknown files."""
 
-from __future__ import annotations
-
 import difflib
 import re
 import struct
+import tomllib
 import zipfile
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 from xml.etree.ElementTree import ParseError
 
 from nacre.core.errors import NacreError, did_you_mean
@@ -34,7 +34,7 @@ _DAMAGE = (
 
 @dataclass(frozen=True)
 class Format:
-    """A readable format.
+    """A readable format, a line of `formats.toml`.
 
     Its module has `sniff(head) -> float` and `read(path, options) -> list[Measurement]`; in a module of several formats
     both names end in the identifier, as `sniff_gwy`.
@@ -60,106 +60,11 @@ class Format:
         return getattr(module, f"{name}_{self.id.replace('-', '_')}", None) or getattr(module, name)
 
 
-# one line per format, sorted by kind; the format of the highest confidence reads a file
-FORMATS: tuple[Format, ...] = (
-    Format("astm_e1392", "ASTM E1392 BSDF", "bsdf", "bsdf.interchange"),
-    Format("alta", "ALTA BRDF", "bsdf", "bsdf.databases"),
-    Format("brdf_json", "universal BRDF (JSON)", "bsdf", "bsdf.interchange"),
-    Format("gonio", "goniometer table", "bsdf", "bsdf.gonio_table"),
-    Format("merl", "MERL BRDF", "bsdf", "bsdf.databases"),
-    Format("fred", "FRED tabulated scatter", "bsdf", "bsdf.ray_tracers"),
-    Format("lighttools", "LightTools BSDF", "bsdf", "bsdf.ray_tracers"),
-    Format("rgl", "RGL tensor BSDF", "bsdf", "bsdf.rgl"),
-    Format("speos", "Speos scattering or BSDF", "bsdf", "bsdf.speos"),
-    Format("ssdd", "SSDD", "bsdf", "bsdf.interchange"),
-    Format("tracepro", "TracePro surface property", "bsdf", "bsdf.ray_tracers"),
-    Format("utia", "UTIA BRDF", "bsdf", "bsdf.databases"),
-    Format("window_xml", "WINDOW and Radiance BSDF (XML)", "bsdf", "bsdf.interchange"),
-    Format("zemax", "Zemax tabular BSDF", "bsdf", "bsdf.ray_tracers"),
-    Format("ocean-text", "Ocean Optics text (OOIBase32, SpectraSuite, OceanView, Jaz)", "spectrum", "spectra.ocean"),
-    Format("ocean-procspec", "Ocean Optics ProcSpec", "spectrum", "spectra.ocean"),
-    Format("jcamp", "JCAMP-DX", "spectrum", "spectra.jcamp"),
-    Format("avantes-text", "Avantes AvaSoft text", "spectrum", "spectra.avantes"),
-    Format("avantes-binary", "Avantes AvaSoft binary (RFL8, TRM, ROH, ABS)", "spectrum", "spectra.avantes"),
-    Format("craic-text", "CRAIC MicroSpec text", "spectrum", "spectra.portable"),
-    Format("perkinelmer-text", "PerkinElmer UV WinLab ASCII and CSV", "spectrum", "spectra.perkinelmer"),
-    Format("perkinelmer-sp", "PerkinElmer .sp", "spectrum", "spectra.perkinelmer"),
-    Format("jasco-text", "JASCO Spectra Manager text", "spectrum", "spectra.jasco"),
-    Format("jasco-jws", "JASCO .jws", "spectrum", "spectra.jasco"),
-    Format("asd-text", "ASD ViewSpec text", "spectrum", "spectra.portable"),
-    Format("licor-prn", "LI-COR LI-1800 .PRN", "spectrum", "spectra.portable"),
-    Format("aster", "ASTER and ECOSTRESS spectral library", "spectrum", "spectra.libraries"),
-    Format("stellarnet", "StellarNet SpectraWiz text (.SSM, .TRM, .ABS, .IRR)", "spectrum", "spectra.portable"),
-    Format("svc-sig", "Spectra Vista (.sig)", "spectrum", "spectra.portable"),
-    Format("usgs-splib", "USGS spectral library 7 (ASCII)", "spectrum", "spectra.libraries"),
-    Format("woollam-intensity", "Woollam intensities (uR, uT, pR, sR)", "spectrum", "spectra.woollam_intensity"),
-    Format("bruker-dpt", "Bruker data point table .dpt", "spectrum", "spectra.bruker"),
-    Format("qtx", "Datacolor QTX", "spectrum", "spectra.qtx"),
-    Format("opus", "Bruker OPUS", "spectrum", "spectra.bruker"),
-    Format("grams-spc", "Galactic GRAMS .spc", "spectrum", "spectra.grams_spc"),
-    Format(
-        "spectrum-table",
-        "table of spectra (Cary, Shimadzu, Agilent, CID, Filmetrics, CSV)",
-        "spectrum",
-        "spectra.tables",
-    ),
-    Format("cgats", "CGATS.17, ISO 28178, Argyll, ProfileMaker", "colours", "colours.cgats"),
-    Format("colour-table", "table of colours (xyY, RGB, names of CGATS)", "colours", "colours.colour_tables"),
-    Format("cxf", "CxF/X-3", "colours", "colours.cxf"),
-    Format("ase", "Adobe swatches .ase and .aco", "colours", "colours.palettes"),
-    Format(
-        "palette", "palettes of sRGB (GIMP .gpl, LibreOffice .soc, JASC, hexadecimal)", "colours", "colours.palettes"
-    ),
-    Format("icc-text", "iccDEV apply data", "colours", "colours.cgats"),
-    Format("lamp", "lamps (IES TM-27 .spdx, UPRtek, Sekonic)", "spectrum", "colours.lamps"),
-    Format("woollam-mat", "Woollam material (.mat)", "constants", "constants.programs"),
-    Format("sopra", "SOPRA database (.MAT)", "constants", "constants.programs"),
-    Format("zemax-coating", "Zemax COATING.DAT", "constants", "constants.programs"),
-    Format("spd-pair", "Mitsuba, PBRT .eta.spd and .k.spd", "constants", "constants.programs"),
-    Format("rii-page", "refractiveindex.info page (YAML)", "constants", "constants.programs"),
-    Format("nexus-dispersion", "NeXus NXdispersive_material", "constants", "constants.programs"),
-    Format("regress-pro-library", "regress-pro dispersion library", "constants", "constants.programs"),
-    Format("accurion", "Accurion EP3, EP4 text", "ellipsometry", "ellipsometry.instruments"),
-    Format("film-sense", "Film Sense text", "ellipsometry", "ellipsometry.instruments"),
-    Format("horiba", "Horiba DeltaPsi text (.spe)", "ellipsometry", "ellipsometry.instruments"),
-    Format("nacre-ellipsometry", "CSV of nacre ellipsometry", "ellipsometry", "ellipsometry.instruments"),
-    Format("nexus-ellipsometry", "NeXus NXellipsometry", "ellipsometry", "ellipsometry.nexus"),
-    Format("regress-pro", "regress-pro text (SE)", "ellipsometry", "ellipsometry.instruments"),
-    Format("spectraray", "Sentech SpectraRay text", "ellipsometry", "ellipsometry.instruments"),
-    Format("woollam-dat", "Woollam WVASE, CompleteEASE data", "ellipsometry", "ellipsometry.woollam"),
-    Format("woollam-text", "Woollam WVASE text export", "ellipsometry", "ellipsometry.woollam"),
-    Format("nacre-table", "orders, layer sheets, many designs, number maps of nacre (CSV)", "table", "own_tables"),
-    Format("table", "text table", "table", "table"),
-    Format("other", "ABg, IES, AGF, Shimadzu SPM, meshes (refused)", "table", "own_tables"),
-    Format("tmatrix", "T-matrix (.tmat.h5)", "tmatrix", "tmatrix"),
-    Format("nacre-heights", "heights of nacre fabricate (CSV)", "heights", "heights.text"),
-    Format("sdf", "ISO 25178-71 surface data (.sdf), ASCII and binary", "heights", "heights.iso_25178"),
-    Format("gwyddion-text", "Gwyddion ASCII matrix", "heights", "heights.gwyddion"),
-    Format("gwy", "Gwyddion (.gwy)", "heights", "heights.gwyddion"),
-    Format("sur", "Digital Surf, MountainsMap (.sur)", "heights", "heights.optical_profilers"),
-    Format("al3d", "Alicona Imaging (.al3d)", "heights", "heights.optical_profilers"),
-    Format("nanoscope", "Bruker, Veeco Nanoscope (.spm, .001)", "heights", "heights.scanning_probe"),
-    Format("wsxm", "WSxM (.top, .stp)", "heights", "heights.scanning_probe"),
-    Format("jpk", "JPK image scan (.jpk, .jpk-qi-image)", "heights", "heights.scanning_probe"),
-    Format("tmd", "TrueMap (.tmd)", "heights", "heights.optical_profilers"),
-    Format("ibw", "Igor binary wave, Asylum Research (.ibw)", "heights", "heights.scanning_probe"),
-    Format("netcdf", "NetCDF, classic (.nc)", "heights", "heights.scanning_probe"),
-    Format("opdx", "Bruker Vision64 (.OPDx)", "heights", "heights.optical_profilers"),
-    Format("zygo", "Zygo MetroPro (.dat)", "heights", "heights.zygo"),
-    Format("x3p", "X3P, ISO 25178-72", "heights", "heights.iso_25178"),
-    Format("topostats", "TopoStats (.topostats)", "heights", "heights.scanning_probe"),
-    Format("holography", "text matrix of digital holography", "heights", "heights.text"),
-    Format("xyz", "points x y z of a grid", "heights", "heights.text"),
-    Format("matrix", "matrix of heights without a head", "heights", "heights.text"),
-    Format("bcr", "SPIP BCR-STM, BCRF", "heights", "heights.scanning_probe"),
-    Format("datx", "Zygo Mx (.datx)", "heights", "heights.zygo"),
-    Format("grid", "grids of Surfer (.grd: text, binary 6 and 7) and Esri (.asc)", "heights", "heights.grid"),
-    Format("gsf", "Gwyddion Simple Field (.gsf)", "heights", "heights.gwyddion"),
-    Format("keyence", "Keyence VK (.vk3, .vk4, .vk6, .vk7, CSV)", "heights", "heights.optical_profilers"),
-    Format("spip", "text of SPIP, Attocube, NT-MDT Nova", "heights", "heights.scanning_probe"),
-    Format("wyko", "Wyko Vision (.opd, .asc)", "heights", "heights.optical_profilers"),
-    Format("zygo-text", "Zygo MetroPro text (XYZ, ASCII)", "heights", "heights.zygo"),
-    Format("profile", "line profile (refused)", "heights", "heights.text"),
+# the format of the highest confidence reads a file
+FORMATS: tuple[Format, ...] = tuple(
+    Format(identifier, title, cast(Kind, kind), module)
+    for kind, formats in tomllib.loads(files("nacre.readers").joinpath("formats.toml").read_text("utf-8")).items()
+    for identifier, (title, module) in formats.items()
 )
 
 

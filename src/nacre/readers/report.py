@@ -1,7 +1,5 @@
 """Description of a measurement in a few lines or as JSON, and tidy files of it."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Text tables of any program: constants, spectra, ellipsometry, colours, points and curves by their headings."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import replace

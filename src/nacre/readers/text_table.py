@@ -3,8 +3,6 @@
 `read_tables` returns the cells as text and numbers, with what stands above them; `headings` gives them a meaning.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import re

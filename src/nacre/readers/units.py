@@ -1,10 +1,11 @@
 """Units in files of other programs: their spellings, conversion, and readings of numbers without a unit."""
 
-from __future__ import annotations
-
+import tomllib
 import unicodedata
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,99 +17,14 @@ Floats = NDArray[np.float64]
 EV_NM = 6.62607015e-34 * 299792458 / 1.602176634e-19 * 1e9  # h c / e
 LIGHT_NM_S = 2.99792458e17  # speed of light, nm/s
 
+VOCABULARY: dict[str, dict[str, Any]] = tomllib.loads(
+    files("nacre.readers").joinpath("vocabulary.toml").read_text("utf-8")
+)
 # unit -> (dimension, factor to the SI unit; of a length: to nm)
-UNITS: dict[str, tuple[str, float]] = {
-    "nm": ("length", 1.0),
-    "um": ("length", 1e3),
-    "angstrom": ("length", 0.1),
-    "mm": ("length", 1e6),
-    "cm": ("length", 1e7),
-    "m": ("length", 1e9),
-    "eV": ("energy", 1.0),
-    "meV": ("energy", 1e-3),
-    "keV": ("energy", 1e3),
-    "J": ("energy", 1.0 / 1.602176634e-19),
-    "1/cm": ("wavenumber", 1e-7),
-    "1/m": ("wavenumber", 1e-9),
-    "1/um": ("wavenumber", 1e-3),
-    "1/nm": ("wavenumber", 1.0),
-    "1/mm": ("wavenumber", 1e-6),
-    "1/angstrom": ("wavenumber", 10.0),
-    "Hz": ("frequency", 1.0),
-    "GHz": ("frequency", 1e9),
-    "THz": ("frequency", 1e12),
-    "PHz": ("frequency", 1e15),
-    "rad/s": ("angular_frequency", 1.0),
-    "rad/ps": ("angular_frequency", 1e12),
-    "rad/fs": ("angular_frequency", 1e15),
-    "deg": ("angle", 1.0),
-    "rad": ("angle", 180.0 / np.pi),
-    "mrad": ("angle", 0.18 / np.pi),
-    "1": ("number", 1.0),
-    "arbitrary": ("number", 1.0),  # of unknown scale
-    "%": ("number", 0.01),
-    "milli": ("number", 1e-3),
-    "counts": ("counts", 1.0),
-    "px": ("pixels", 1.0),
-    "s": ("time", 1.0),
-    "ms": ("time", 1e-3),
-    "us": ("time", 1e-6),
-    "min": ("time", 60.0),
-    "V": ("voltage", 1.0),
-    "mV": ("voltage", 1e-3),
-    "K": ("temperature", 1.0),
-    "degC": ("temperature", 1.0),
-    "W/m2/nm": ("irradiance", 1.0),
-    "uW/cm2/nm": ("irradiance", 0.01),
-    "W/m2": ("irradiance", 1.0),
-}
+UNITS: dict[str, tuple[str, float]] = {unit: (kind, factor) for unit, (kind, factor) in VOCABULARY["units"].items()}
 SPECTRAL = ("length", "energy", "wavenumber", "frequency", "angular_frequency")
-# spellings after NFKC normalisation, without blanks; those that are unique in lower case may have any case
-_SPELLINGS = {
-    "nm": "nm nanometer nanometers nanometre nanometres nanomètre nanomètres nanometern nanometro nanometri nanometros",
-    "um": "um μm mum \\mum micron microns micrometer micrometers micrometre micrometres mikrometer mikron mikrometern "
-    "micromètre micromètres micrometro micrometri",
-    "angstrom": "å a angstrom angstroms ångström ångstrom angström angstroem aa ang",
-    "mm": "mm millimeter millimeters millimetre millimetres",
-    "cm": "cm centimeter centimeters centimetre zentimeter",
-    "m": "m meter meters metre metres",
-    "eV": "ev electronvolt electronvolts electron-volt elektronenvolt elektronvolt",
-    "keV": "kev",
-    "J": "j joule",
-    "1/cm": "1/cm cm-1 cm^-1 cm^{-1} /cm cm**-1 kayser cm−1 percm pcm wavenumber(cm-1) 1percm invcm",
-    "1/m": "1/m m-1 m^-1 m^{-1} m**-1 perm",
-    "1/um": "1/um um-1 um^-1 μm-1 μm^-1 1/μm 1/micron μm^{-1} um^{-1} perum μm**-1",
-    "1/nm": "1/nm nm-1 nm^-1 nm^{-1} pernm nm**-1",
-    "1/mm": "1/mm mm-1 mm^-1",
-    "1/angstrom": "1/å å-1 å^-1 1/a a^-1 a-1 1/angstrom å^{-1}",
-    "Hz": "hz hertz",
-    "GHz": "ghz",
-    "THz": "thz terahertz",
-    "PHz": "phz",
-    "rad/s": "rad/s rad*s-1 rads-1 rads^-1 radians/s rad·s-1 rad.s-1 rad/sec",
-    "rad/ps": "rad/ps radps-1",
-    "rad/fs": "rad/fs radfs-1 radfs^-1 rad·fs-1",
-    "deg": "deg degree degrees ° grad degs º grados degrés gradi gr",
-    "rad": "rad radian radians radiant",
-    "mrad": "mrad",
-    "1": "1 - -- none unitless dimensionless ratio factor fraction abs.",
-    "arbitrary": "a.u. au arb.units arb.unit arb.u. arb. arb arbitrary arbitraryunits arbitraryunit w.e. u.a.",
-    "%": "% percent per-cent percents pct prozent pourcent percentage porcentaje procent",
-    "milli": "mau mod mabs mo.d. ma.u.",
-    "counts": "counts count cts dn adc digitalnumbers",
-    "px": "px pixel pixels pix pixl",
-    "s": "s sec secs second seconds",
-    "us": "us μs",
-    "min": "min minute minutes",
-    "V": "v volt volts",
-    "K": "k kelvin",
-    "degC": "°c degc celsius ℃ c",
-    "W/m2/nm": "w/m2/nm w/m^2/nm wm-2nm-1 w/(m2nm) w/(m^2nm) wm^-2nm^-1",
-    "uW/cm2/nm": "uw/cm2/nm μw/cm2/nm μw/cm^2/nm uw/cm^2/nm μwcm-2nm-1 uj/cm2/nm",
-    "W/m2": "w/m2 w/m^2 wm-2",
-}
-_CASED = {"ms": "ms", "mV": "mV", "meV": "meV", "MEV": "", "Mm": "", "M": "", "S": "", "Min": "min", "PM": ""}
-_UNIT_OF = {word: unit for unit, words in _SPELLINGS.items() for word in words.split()}
+_CASED: dict[str, str] = VOCABULARY["cased"]
+_UNIT_OF = {word: unit for unit, words in VOCABULARY["spellings"].items() for word in words.split()}
 
 
 def normal(text: str) -> str:

@@ -3,8 +3,6 @@
 Used by `nacre keys`, the documentation, and `schema.py`.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import types

@@ -11,8 +11,11 @@ import functools
 import hashlib
 import os
 import re
+import sys
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -283,10 +286,18 @@ def _length_spellings(model: type[RecipeModel]) -> dict[str, str]:
     return {way: name for name in model.model_fields for way in spellings(name) if len(spellings(name)) > 1}
 
 
+@functools.cache
+def _forms_of(package: str) -> dict[str, dict[str, Any]]:
+    """Return `forms`, `example` and `shorthands` by model from the `forms.toml` of a package, if it has one."""
+    path = files(package).joinpath("forms.toml") if package in sys.modules else None
+    return tomllib.loads(path.read_text("utf-8")) if path is not None and path.is_file() else {}
+
+
 class RecipeModel(pydantic.BaseModel):
     """A table of a recipe: unknown keys are refused, numbers are finite, lengths may have any unit.
 
-    A field named `<quantity>_nm` (or `_um`, `_mm`) may be written with any the three suffixes.
+    A field named `<quantity>_nm` (or `_um`, `_mm`) may be written with any the three suffixes. The `forms.toml` of a
+    package may give `forms`, `example` and `shorthands` of its models.
     """
 
     # of a family: a small complete recipe, for the reference and the tests of all families
@@ -332,6 +343,8 @@ class RecipeModel(pydantic.BaseModel):
     def __init_subclass__(cls, **options: Any) -> None:
         """Let `build` of an unchanged table run once for all variants of a recipe with a snapshot."""
         super().__init_subclass__(**options)
+        for name, value in _forms_of(cls.__module__.rpartition(".")[0]).get(cls.__name__, {}).items():
+            setattr(cls, name, tuple(value) if isinstance(value, list) else value)
         if "build" in cls.__dict__:
             cls.build = _built_once(cls.__dict__["build"])  # type: ignore[attr-defined]
 

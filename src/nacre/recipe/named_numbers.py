@@ -3,8 +3,6 @@
 `nacre.bsdf.texture` evaluates formulas; only the names in their text are handled here.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

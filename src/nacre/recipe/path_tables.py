@@ -1,7 +1,5 @@
 """Tables whose keys are recipe paths: `[fit]`, `[tolerance]` and a sweep's axes."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal
@@ -40,11 +38,6 @@ class ToleranceSpec(RecipeModel):
     """The manufacturing tolerance of a number, for `nacre tolerance`."""
 
     one_of: ClassVar[tuple[str, ...]] = ("deviation", "percent")
-    forms: ClassVar[tuple[str, ...]] = (
-        "{deviation = 5}",
-        '{percent = 2, distribution = "uniform"}',
-        '{percent = 2, group = "material"}',
-    )
 
     deviation: float | None = pydantic.Field(
         default=None,
@@ -74,10 +67,6 @@ class ToleranceSpec(RecipeModel):
 
 class CorrelationSpec(RecipeModel):
     """Correlated deviations of several numbers."""
-
-    forms: ClassVar[tuple[str, ...]] = (
-        '{of = ["layers[0].thickness_nm", "layers[1].thickness_nm"], matrix = [[1, 0.8], [0.8, 1]]}',
-    )
 
     of: list[str] = pydantic.Field(
         description="paths of numbers with a tolerance, with [*] for any index", examples=[["layers[*].thickness_nm"]]

@@ -1,7 +1,5 @@
 """Recipe paths such as `layers[0].thickness_nm`: find, read and set values."""
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Mapping, MutableMapping

@@ -5,8 +5,6 @@ shorthands and textures for varying numbers, and removes null, which TOML lacks.
 by the models only.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -4,8 +4,6 @@ TOML files, Python dictionaries and `--set` pass through `plain_data`. Later cod
 beyond 64 bits and no numpy types. `open_parts` and `open_all` replace the files that a recipe names by tables.
 """
 
-from __future__ import annotations
-
 import copy
 import functools
 import re

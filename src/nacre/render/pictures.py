@@ -1,7 +1,5 @@
 """Functions in `nacre.render`, which also accept recipes; imported on first use."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import Any, Concatenate, ParamSpec, TypeVar

@@ -1,7 +1,5 @@
 """The `nacre` BSDF in Mitsuba scenes: registration in spectral variants, and loading from `{"type": "nacre", ...}`."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import itertools

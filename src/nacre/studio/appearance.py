@@ -6,8 +6,6 @@ reflectance at the view angle (reciprocity allows this). Layered films are solve
 drafted with few angles and wavelengths, at a quality adapted to the machine.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json
@@ -37,7 +35,7 @@ from nacre.measure.gloss import Gloss, find_gloss
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.studio.graded import Grades, grades_of, is_undrawn
 from nacre.studio.incidence import UNPOLARISED, Incidence, mixes_polarisations, spectrum_from
-from nacre.studio.latest_only_worker import SupersededError
+from nacre.studio.subprocess_jobs import SupersededError
 
 LAMPS = ("D65", "A", "F11")
 PROBE_RAD, PROBE_NM = np.array([0.0]), np.array([450.0, 550.0, 650.0])
@@ -326,11 +324,7 @@ def _form(data: Any) -> str:
 
 
 def _solve(
-    material: Material,
-    illuminant: str,
-    is_superseded: Callable[[], bool],
-    quality: Quality,
-    incidence: Incidence,
+    material: Material, illuminant: str, is_superseded: Callable[[], bool], quality: Quality, incidence: Incidence
 ) -> Appearance:
     start = time.perf_counter()
     angles_deg, grid = quality.angles_deg, quality.wavelengths_nm

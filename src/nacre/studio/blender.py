@@ -5,8 +5,6 @@ line, and reads progress as JSON lines. A solved material is a folder: `table` (
 `thumbnail.png`, and `material.json` with the free numbers.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

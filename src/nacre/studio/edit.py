@@ -1,7 +1,5 @@
 """Recipe text edits: numbers, layers and tables. Comments are preserved if possible."""
 
-from __future__ import annotations
-
 import copy
 import math
 import re

@@ -1,7 +1,5 @@
 """Recipe model of a family as JSON data for the page's form, as in `nacre keys`."""
 
-from __future__ import annotations
-
 import types
 import typing
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Numbers that vary over the surface, for the preview: a map, and the material at nodes of their ranges."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -17,12 +15,7 @@ from nacre.recipe.model import validate
 
 MAP_SIZE = 256  # texels along each side of the map
 NODES = {(True, 1): (48,), (True, 2): (24, 6), (False, 1): (5,), (False, 2): (3, 3)}  # by speed and count of ranges
-DRAWN = (
-    "thickness_nm",
-    "thickness_um",
-    "thickness_mm",
-    "mask",
-)  # rotations change no colour of a table
+DRAWN = ("thickness_nm", "thickness_um", "thickness_mm", "mask")  # rotations change no colour of a table
 MAX_VARYING = 2
 
 

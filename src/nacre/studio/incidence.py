@@ -1,7 +1,5 @@
 """Azimuth and polarisation of the light on films that mix polarisations: anisotropic and twisted ones."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

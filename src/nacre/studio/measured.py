@@ -1,7 +1,5 @@
 """Instrument files that are dropped on the page: measured data beside the computed ones, and reliefs from scans."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

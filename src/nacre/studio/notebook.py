@@ -4,8 +4,6 @@ Messages to the view: `room` (surroundings and shader tables, sent on request), 
 `error`. Messages from the view: `ready`, and `vary` with a slider's path and value.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import posixpath
@@ -21,8 +19,7 @@ from nacre.formats.lut.write import template
 from nacre.light import ILLUMINANTS
 from nacre.material.material import Material, MaterialLike, as_material
 from nacre.studio.appearance import appearances
-from nacre.studio.latest_only_worker import LatestOnlyWorker
-from nacre.studio.subprocess_jobs import failure_text
+from nacre.studio.subprocess_jobs import LatestOnlyWorker, failure_text
 from nacre.studio.surroundings import ALPHAS, ROWS, blurred_surroundings
 
 TABLES = "table.glsl"

@@ -1,7 +1,5 @@
 """Objects on the page: simplified triangle meshes from picture scenes or from the user, packed with their camera."""
 
-from __future__ import annotations
-
 import functools
 import json
 import math

@@ -26,7 +26,7 @@ from nacre.material.examples import examples
 from nacre.matter.indices import library
 from nacre.studio import folder
 from nacre.studio.angles import angle_tables
-from nacre.studio.design_request import list_parameters, read_design
+from nacre.studio.design_jobs import list_parameters, read_design
 from nacre.studio.downloads import formats_of, read_file, read_picture, read_report, unpacked
 from nacre.studio.edit import line_of
 from nacre.studio.form import family_form

@@ -4,8 +4,6 @@ The server listens on loopback, which every page in the user's browser can reach
 token, name this server as its host, and not come from a foreign page; the page itself may load only its own files.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hmac
 import os

@@ -4,8 +4,6 @@ The server is stateless: each request carries the recipe's text and the edits si
 continues previous sessions.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json
@@ -25,9 +23,8 @@ from nacre.studio.appearance import Appearance, appearances
 from nacre.studio.edit import edited, line_of
 from nacre.studio.folder import MAX_TEXT, OpenedFolder
 from nacre.studio.incidence import read_incidence
-from nacre.studio.latest_only_worker import LatestOnlyWorker
 from nacre.studio.measured import computed_psi_delta
-from nacre.studio.subprocess_jobs import failure_text
+from nacre.studio.subprocess_jobs import LatestOnlyWorker, failure_text
 
 MAX_MESSAGE = 2 * MAX_TEXT
 MAX_LAB = 1e4

@@ -8,8 +8,6 @@ floor that rises behind the object into a wall (`nacre.picture.scenes.catalogue`
 the wall and two bounces between its parts.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A diffuse base, bare or below a film."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

@@ -7,8 +7,6 @@ The delta part is the light that passes only smooth interfaces. Powers add, sinc
 interference. A rough interface or a scattering base ends the chain, and scattered light does not contribute.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

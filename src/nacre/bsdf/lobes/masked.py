@@ -4,8 +4,6 @@ This blends two materials by a mask. It also lets a parameter of any family vary
 solved at some parameter values (nodes), and each node's lobes are weighted by a hat function of the texture.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

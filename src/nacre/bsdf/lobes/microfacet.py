@@ -1,7 +1,5 @@
 """The rough interface: smooth-interface tables with a microfacet normal distribution."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """Diffraction orders of a periodic structure, reflected or transmitted, each with a narrow angular width."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar

@@ -11,8 +11,6 @@ The nodes of a measurement are kept, so that the table has the measured values a
 Values are per wavelength, or per channel with a spectrum for each channel (an RGB measurement).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """A Lambertian base, bare or below a film, on the device."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

@@ -9,8 +9,6 @@ impossible and is replaced by a comparison of `sample` with `eval`.
 resulting coloured fireflies grow with the flake count; `sample` has no such peaks.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

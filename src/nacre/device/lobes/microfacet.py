@@ -4,8 +4,6 @@ Directions from below are inverted at the origin and handled as directions from 
 invariant under x, y -> -x, -y), with the tables of the other side.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, cast
@@ -16,19 +14,8 @@ import numpy as np
 
 from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
 from nacre.core.errors import UnsupportedError
+from nacre.device import plugin
 from nacre.device.facet_distributions import Facets, facets_class
-from nacre.device.plugin import (
-    MIN_COS,
-    Facet,
-    LobePlugin,
-    flag,
-    is_radiance,
-    negated,
-    opaque,
-    replaced,
-    rotated_frame,
-    set_transmission,
-)
 from nacre.device.response import Azimuths, DeviceResponse
 from nacre.device.tables import DeviceTable, WavelengthAxis
 from nacre.device.texture import DeviceParameters, DeviceTexture
@@ -62,16 +49,16 @@ class Compensation:
     def _set_numbers(self, lobe: Microfacet) -> None:
         assert lobe.loss is not None and lobe.exchange is not None
         nodes, turns = lobe.loss.shape[1:3]
-        self.top_s, self.max_s = opaque(nodes - 1), opaque(max(nodes - 2, 0))
-        self.nodes = opaque(nodes)
-        self.top_t = opaque(max(turns - 1, 1))
-        self.max_t = opaque(max(turns - 2, 0))
+        self.top_s, self.max_s = plugin.opaque(nodes - 1), plugin.opaque(max(nodes - 2, 0))
+        self.nodes = plugin.opaque(nodes)
+        self.top_t = plugin.opaque(max(turns - 1, 1))
+        self.max_t = plugin.opaque(max(turns - 2, 0))
         # probability of leaving on the side of incidence, by the energy of each side
         s = np.linspace(0.0, 1.0, nodes)
         mean = np.trapezoid(lobe.loss.mean(axis=(2, 3)) * 4.0 * s**3, s, axis=1)  # 2 cos dcos with cos = s^2
         flow = lobe.exchange.reshape(-1, self.sides, self.sides, lobe.exchange.shape[-1]).mean(axis=(0, 3)) * mean
         stay = [1.0 if self.sides == 1 else _clipped(flow[i, i], float(flow[i].sum())) for i in range(self.sides)]
-        self.stay = [opaque(p) for p in stay]
+        self.stay = [plugin.opaque(p) for p in stay]
 
     def update(self, lobe: Microfacet) -> None:
         """Replace the tables by others with the same shape."""
@@ -100,9 +87,9 @@ class Compensation:
         """
         crosses = wo.z < 0.0
         cos = dr.abs(wo.z)
-        seen = active & (cos > MIN_COS)
+        seen = active & (cos > plugin.MIN_COS)
         if self.sides == 1:
-            seen = seen & negated(crosses)
+            seen = seen & plugin.negated(crosses)
         if not all(enabled):
             seen = seen & dr.select(crosses, mi.Bool(len(enabled) > 1 and enabled[1]), mi.Bool(enabled[0]))
         goes_inside = inside ^ crosses
@@ -154,7 +141,7 @@ def _clipped(part: float, whole: float) -> float:
     return min(max(share, 0.05), 0.95)
 
 
-class MicrofacetPlugin(LobePlugin[Microfacet]):
+class MicrofacetPlugin(plugin.LobePlugin[Microfacet]):
     """Rough reflection, rough refraction if the interface transmits, and multiple scattering between facets."""
 
     kind = "microfacet"
@@ -172,9 +159,9 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         self._set_alpha(lobe)
         sides = ("FrontSide", "BackSide") if lobe.response.transmits else ("FrontSide",)
         kinds = sides if self.is_isotropic else ("Anisotropic", *sides)
-        self.components = (flag("GlossyReflection", *kinds),)
+        self.components = (plugin.flag("GlossyReflection", *kinds),)
         if self.refracts:
-            self.components += (flag("GlossyTransmission", *kinds),)
+            self.components += (plugin.flag("GlossyTransmission", *kinds),)
 
     def _respond(self, lobe: Microfacet) -> DeviceResponse:
         """Return the tables on the device."""
@@ -185,9 +172,9 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         return si
 
     def _set_alpha(self, lobe: Microfacet) -> None:
-        self.alpha_x = replaced(self.alpha_x, opaque(lobe.alpha_x))
+        self.alpha_x = plugin.replaced(self.alpha_x, plugin.opaque(lobe.alpha_x))
         # one object for both shortens the isotropic kernel
-        self.alpha_y = self.alpha_x if self.is_isotropic else replaced(self.alpha_y, opaque(lobe.alpha_y))
+        self.alpha_y = self.alpha_x if self.is_isotropic else plugin.replaced(self.alpha_y, plugin.opaque(lobe.alpha_y))
 
     # -- sampling ---------------------------------------------------------------------------------------
 
@@ -195,9 +182,9 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         """Draw a facet normal, then reflection or refraction by their powers."""
         frame = self._frame(si, active)
         wi, sign, inside = self._from_above(frame(si.wi, True))
-        active = active & any(enabled) & (wi.z > MIN_COS)
+        active = active & any(enabled) & (wi.z > plugin.MIN_COS)
         if not self.response.transmits:
-            active = active & negated(inside)
+            active = active & plugin.negated(inside)
         facets = self._facets(si, active)
         if self.compensation is None:
             wo, reflects, weight, pdf = self._sample_facets(
@@ -221,7 +208,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         bs.eta = mi.Float(1.0)
         bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
         if self.refracts:
-            set_transmission(bs, reflects, self._eta(inside))
+            plugin.set_transmission(bs, reflects, self._eta(inside))
         return bs, weight & (bs.pdf > 0.0)
 
     def _sample_facets(
@@ -244,7 +231,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         wo = dr.fma(m, 2.0 * wi_m, -wi)
         if not self.refracts:
             reflected, _ = self.response.look_up(wi_m, inside, self._lit(si, wi, m, active), active)
-            good = active & (wo.z > MIN_COS)
+            good = active & (wo.z > plugin.MIN_COS)
             weight = reflected * facets.weight(wi, wo, m, wi_m, wi_m)
             return wo, mi.Bool(True), weight & good, dr.select(good, 0.25 * spread, 0.0)
 
@@ -259,8 +246,8 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         wo = dr.select(reflects, wo, bent)
         wo_m = dr.select(reflects, wi_m, cos_t)
         # a failed refraction, or one to the wrong side, is lost: converting it to a reflection would gain energy
-        good = active & dr.select(reflects, wo.z > MIN_COS, (cos_t2 > 0.0) & (wo.z < -MIN_COS))
-        squeeze = inverse * inverse if is_radiance(ctx) else mi.Float(1.0)
+        good = active & dr.select(reflects, wo.z > plugin.MIN_COS, (cos_t2 > 0.0) & (wo.z < -plugin.MIN_COS))
+        squeeze = inverse * inverse if plugin.is_radiance(ctx) else mi.Float(1.0)
         chance = dr.select(reflects, share, 1.0 - share)
         stretch = dr.square(dr.fma(-eta, cos_t, wi_m))
         bend = wi_m * cos_t * dr.square(eta) / dr.maximum(stretch, 1e-20)
@@ -276,9 +263,9 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         frame = self._frame(si, active)
         wi, sign, inside = self._from_above(frame(si.wi, True))
         wo = frame(wo, True) * sign
-        active = active & (wi.z > MIN_COS)
+        active = active & (wi.z > plugin.MIN_COS)
         if not self.response.transmits:
-            active = active & negated(inside)
+            active = active & plugin.negated(inside)
         return self._eval_pdf(ctx, si, self._facets(si, active), wi, wo, inside, active, enabled)
 
     def _eval_pdf(
@@ -287,14 +274,16 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         value, pdf = self._eval_facets(ctx, si, facets, wi, wo, inside, active, enabled)
         if self.compensation is None:
             return value, pdf
-        share, added, added_pdf = self.compensation.eval_pdf(is_radiance(ctx), si, wi, wo, inside, active, enabled)
+        share, added, added_pdf = self.compensation.eval_pdf(
+            plugin.is_radiance(ctx), si, wi, wo, inside, active, enabled
+        )
         return value + added, (1.0 - share) * pdf + share * added_pdf
 
     def _eval_facets(
         self, ctx: Any, si: Any, facets: Facets, wi: Any, wo: Any, inside: Any, active: Any, enabled: tuple[bool, ...]
     ) -> tuple[Any, Any]:
         if not self.refracts:
-            active = active & (wo.z > MIN_COS) & enabled[0]
+            active = active & (wo.z > plugin.MIN_COS) & enabled[0]
             h = dr.normalize(wi + wo)
             wi_h = dr.dot(wi, h)
             reflected, _ = self.response.look_up(wi_h, inside, self._lit(si, wi, h, active), active)
@@ -306,7 +295,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         h = dr.normalize(dr.fma(wo, dr.select(reflects, mi.Float(1.0), eta), wi))
         h = dr.mulsign(h, h.z)
         wi_h, wo_h = dr.dot(wi, h), dr.dot(wo, h)
-        active = active & (dr.abs(wo.z) > MIN_COS) & (wi_h > 0.0) & (wo_h * wo.z > 0.0)
+        active = active & (dr.abs(wo.z) > plugin.MIN_COS) & (wi_h > 0.0) & (wo_h * wo.z > 0.0)
         if not all(enabled):
             active = active & dr.select(reflects, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
         share, amount = self.response.split(wi_h, inside, self._lit(si, wi, h, active), active)
@@ -315,12 +304,12 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         stretch = dr.square(dr.fma(eta, wo_h, wi_h))
         bend = wi_h * dr.abs(wo_h) * dr.square(eta) / dr.maximum(stretch, 1e-20)
         density = facets.spread(wi, h, wi_h) * dr.select(reflects, mi.Float(0.25), bend)
-        squeeze = dr.rcp(dr.square(eta)) if is_radiance(ctx) else mi.Float(1.0)
+        squeeze = dr.rcp(dr.square(eta)) if plugin.is_radiance(ctx) else mi.Float(1.0)
         value = amount(reflects) * dr.select(reflects, mi.Float(1.0), squeeze)
         value = value * (facets.weight(wi, wo, h, wi_h, dr.abs(wo_h)) * density)
         return value & active, dr.select(active, chance * density, 0.0)
 
-    def facet(self, si: Any, wo: Any, active: Any) -> Facet:
+    def facet(self, si: Any, wo: Any, active: Any) -> plugin.Facet:
         """Return the facet that connects two directions."""
         frame = self._frame(si, active)
         wi, sign, inside = self._from_above(frame(si.wi, True))
@@ -329,7 +318,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         eta = self._eta(inside) if self.refracts else mi.Float(1.0)
         h = dr.normalize(dr.fma(wo, dr.select(reflects, mi.Float(1.0), eta), wi))
         h = dr.mulsign(h, h.z)
-        return Facet(frame(h * sign, False), dr.abs(dr.dot(wi, h)), inside, reflects)
+        return plugin.Facet(frame(h * sign, False), dr.abs(dr.dot(wi, h)), inside, reflects)
 
     def eval_depolarised(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return the light exchanged between facets."""
@@ -338,7 +327,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         frame = self._frame(si, active)
         wi, sign, inside = self._from_above(frame(si.wi, True))
         wo = frame(wo, True) * sign
-        return self.compensation.eval_pdf(is_radiance(ctx), si, wi, wo, inside, active, enabled)[1]
+        return self.compensation.eval_pdf(plugin.is_radiance(ctx), si, wi, wo, inside, active, enabled)[1]
 
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the smooth interface's albedo at the ray's angle."""
@@ -374,7 +363,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
 
     def _frame(self, si: Any, active: Any) -> Any:
         """Return the transformation between the surface's frame and the roughness frame, outside upward."""
-        return rotated_frame(self.rotation, si, active, self.response.flipped)
+        return plugin.rotated_frame(self.rotation, si, active, self.response.flipped)
 
     def update(self, lobe: Microfacet) -> None:
         """Replace tables and widths.
@@ -433,7 +422,7 @@ class AlignedMicrofacetPlugin(MicrofacetPlugin):
 
     def __init__(self, lobe: Microfacet) -> None:
         super().__init__(lobe)
-        self.components = tuple(word | flag("Anisotropic") for word in self.components)
+        self.components = tuple(word | plugin.flag("Anisotropic") for word in self.components)
 
     def _respond(self, lobe: Microfacet) -> DeviceResponse:
         self.azimuths = Azimuths(cast("AlignedMicrofacet", lobe).azimuths)

@@ -6,8 +6,6 @@ wavelength's exact |q|. Directions are drawn from a coarse exit table (`bilinear
 this table depends only on the azimuth difference and is averaged over the rotation; the weights contain the rest.
 """
 
-from __future__ import annotations
-
 import abc
 import dataclasses
 import math
@@ -22,23 +20,7 @@ from nacre.bsdf.lobes.monolayer import Aligned, Harmonic, MonolayerLobe
 from nacre.bsdf.packed_series import DARKEST, PACKET, SHARED, WORD, encode
 from nacre.core.arrays import Array, SingleArray, direction
 from nacre.core.errors import UnsupportedError
-from nacre.device.bilinear_sampling import BilinearDensity
-from nacre.device.plugin import (
-    MIN_COS,
-    LobePlugin,
-    aligned,
-    device_array,
-    flag,
-    is_radiance,
-    larger,
-    negated,
-    opaque,
-    opaque_int,
-    read2,
-    set_transmission,
-    smaller,
-    unit_azimuth,
-)
+from nacre.device import plugin
 from nacre.device.tables import WavelengthAxis
 
 
@@ -58,7 +40,7 @@ class PackedSeries:
         made = encode(rows, packets)
         self.words = made.words.shape[3]
         self.packets = packets
-        self.units = [opaque(unit) for unit in made.units]
+        self.units = [plugin.opaque(unit) for unit in made.units]
         self.places = [word for word, _, _ in made.fields]
         self.on_device = dr.is_jit_v(mi.Float)
         shifts = [WORD - low - bits for _, low, bits in made.fields]
@@ -69,7 +51,7 @@ class PackedSeries:
             for k, s in enumerate(shifts)
         ]
         flat = made.words.reshape(-1, self.words)
-        self.values = mi.UInt32(aligned(flat, np.uint32)) if self.on_device else flat
+        self.values = mi.UInt32(plugin.aligned(flat, np.uint32)) if self.on_device else flat
 
     def read(self, index: Any, packet: int, active: Any) -> tuple[list[Any], Any]:
         """Return a packet's numbers, in `units`, and their common factor.
@@ -122,7 +104,7 @@ VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 12, 9, 9  # for each side; more nodes do
 AnyMonolayer = TypeVar("AnyMonolayer", bound=MonolayerLobe)
 
 
-class MonolayerPlugin(LobePlugin[AnyMonolayer]):
+class MonolayerPlugin(plugin.LobePlugin[AnyMonolayer]):
     """Common part of both monolayer plugins: polar angles, S, and sampling from an exit table.
 
     Attributes:
@@ -140,9 +122,9 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         sides: tuple[str, ...] = ("FrontSide", "BackSide") if lobe.transmits else ("FrontSide",)
         sides = ("Anisotropic", *sides) if self.is_turned else sides
         self.transmits = lobe.transmits
-        self.components = (flag("GlossyReflection", *sides),)
+        self.components = (plugin.flag("GlossyReflection", *sides),)
         if lobe.transmits:
-            self.components += (flag("GlossyTransmission", *sides),)
+            self.components += (plugin.flag("GlossyTransmission", *sides),)
         self.axis = WavelengthAxis(lobe.wavelengths_nm)
         self.has_constant_index = _has_constant_index(lobe)
         self._set(lobe)
@@ -197,29 +179,29 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
     def _set(self, lobe: AnyMonolayer) -> None:
         self.shape = self._shape(lobe)
         self.axis.update(lobe.wavelengths_nm)
-        self.nodes = opaque_int(max(2, len(lobe.wavelengths_nm)))
+        self.nodes = plugin.opaque_int(max(2, len(lobe.wavelengths_nm)))
         self._set_tables(lobe)
-        self.count_above = opaque_int(lobe.count_above)
-        self.edge_above, self.top_above = opaque(lobe.count_above - 0.5), opaque(lobe.count_above - 1)
+        self.count_above = plugin.opaque_int(lobe.count_above)
+        self.edge_above, self.top_above = plugin.opaque(lobe.count_above - 0.5), plugin.opaque(lobe.count_above - 1)
         if lobe.transmits:
             size = lobe.count_below + lobe.count_beyond
-            self.edge_below, self.top_below = opaque(lobe.count_below - 0.5), opaque(size - 1)
-            self.beyond = opaque(lobe.count_beyond)
+            self.edge_below, self.top_below = plugin.opaque(lobe.count_below - 0.5), plugin.opaque(size - 1)
+            self.beyond = plugin.opaque(lobe.count_beyond)
             critical = lobe.grid_below.critical_rad
-            self.cos_critical, self.sin_critical = opaque(math.cos(critical)), opaque(math.sin(critical))
-            self.per_beyond = opaque(1.0 / max(math.pi / 2 - critical, 1e-6))
-        self.per_last = [opaque(1.0 / cosine) for cosine in lobe.last_cosines]
-        self.eta = opaque(lobe.eta)
+            self.cos_critical, self.sin_critical = plugin.opaque(math.cos(critical)), plugin.opaque(math.sin(critical))
+            self.per_beyond = plugin.opaque(1.0 / max(math.pi / 2 - critical, 1e-6))
+        self.per_last = [plugin.opaque(1.0 / cosine) for cosine in lobe.last_cosines]
+        self.eta = plugin.opaque(lobe.eta)
         # wavenumber over the table's step, and the index below, at both ends of each wavelength interval
         self.per_step = None
         if _has_constant_index(lobe):
-            self.steps_nm = opaque(lobe.wavenumbers[0] * lobe.wavelengths_nm[0] / lobe.q_step)
-            self.shortest, self.longest = opaque(lobe.wavelengths_nm[0]), opaque(lobe.wavelengths_nm[-1])
+            self.steps_nm = plugin.opaque(lobe.wavenumbers[0] * lobe.wavelengths_nm[0] / lobe.q_step)
+            self.shortest, self.longest = plugin.opaque(lobe.wavelengths_nm[0]), plugin.opaque(lobe.wavelengths_nm[-1])
         else:
-            self.per_step = device_array(_pairs(lobe.wavenumbers / lobe.q_step))
-        self.index = device_array(_pairs(lobe.index_below))
+            self.per_step = plugin.device_array(_pairs(lobe.wavenumbers / lobe.q_step))
+        self.index = plugin.device_array(_pairs(lobe.index_below))
         self.s_values, self.s_unit = _halves(lobe.structure)
-        self.s_last = opaque(len(lobe.structure) - 1)
+        self.s_last = plugin.opaque(len(lobe.structure) - 1)
         self._set_sampling(lobe)
 
     def _set_sampling(self, lobe: AnyMonolayer) -> None:
@@ -250,9 +232,9 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         if not self.is_broad:
             level = (albedo / math.pi / hemispheres)[:, None, None, None]
             self.exits = BilinearDensity((1.0 - COSINE_SHARE) * means + COSINE_SHARE * level + 1e-9)
-        self.per_depth = opaque((views - 1) / depth)
-        self.albedo = device_array(_pairs(albedo))
-        self.view_max = opaque(views - 2)
+        self.per_depth = plugin.opaque((views - 1) / depth)
+        self.albedo = plugin.device_array(_pairs(albedo))
+        self.view_max = plugin.opaque(views - 2)
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Draw from the exit table; a broad lobe cosine-weighted."""
@@ -270,8 +252,8 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
         if self.transmits:
             reflects = si.wi.z * wo.z > 0.0
-            set_transmission(bs, reflects, dr.select(si.wi.z > 0.0, self.eta, 1.0 / self.eta))
-        return bs, (value * dr.rcp(larger(pdf, 1e-20))) & (active & (pdf > 0.0))
+            plugin.set_transmission(bs, reflects, dr.select(si.wi.z > 0.0, self.eta, 1.0 / self.eta))
+        return bs, (value * dr.rcp(plugin.larger(pdf, 1e-20))) & (active & (pdf > 0.0))
 
     def _drawn(self, si: Any, sample1: Any, sample2: Any, active: Any) -> tuple[Any, tuple[Any, Any, Any]]:
         """Return a direction from the exit table, and its table coordinates."""
@@ -280,7 +262,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         azimuth = dr.select(rest < 0.5, -turn, turn) * math.pi
         sin_theta, cos_theta = dr.sqrt(square), dr.sqrt(1.0 - square)
         sin_phi, cos_phi = dr.sincos(azimuth)
-        x, y = unit_azimuth(si.wi)
+        x, y = plugin.unit_azimuth(si.wi)
         wo = mi.Vector3f(
             sin_theta * (cos_phi * x - sin_phi * y),
             sin_theta * (cos_phi * y + sin_phi * x),
@@ -297,11 +279,11 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         cross = si.wi.x * wo.y - si.wi.y * wo.x
         azimuth = dr.abs(dr.atan2(cross, si.wi.x * wo.x + si.wi.y * wo.y))
         face = dr.select(wo.z > 0.0, mi.UInt32(0), mi.UInt32(1))
-        square = smaller(wo.x * wo.x + wo.y * wo.y, 1.0)
+        square = plugin.smaller(wo.x * wo.x + wo.y * wo.y, 1.0)
         return value, self._density(si, wo, face, square, azimuth * dr.inv_pi, active)
 
     def _value(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
-        light, eye = (wo, si.wi) if is_radiance(ctx) else (si.wi, wo)
+        light, eye = (wo, si.wi) if plugin.is_radiance(ctx) else (si.wi, wo)
         return self._look_up(si, light, eye, active) * dr.abs(wo.z)
 
     def _density(self, si: Any, wo: Any, face: Any, square: Any, turn: Any, active: Any) -> Any:
@@ -318,12 +300,12 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         return self._visible(wo) & dr.select(si.wi.z * wo.z > 0.0, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
 
     def _visible(self, w: Any) -> Any:
-        return dr.abs(w.z) > MIN_COS if self.transmits else w.z > MIN_COS
+        return dr.abs(w.z) > plugin.MIN_COS if self.transmits else w.z > plugin.MIN_COS
 
     def _view(self, wi: Any) -> tuple[Any, Any]:
         """Return the view direction's lower row, and the fraction to the next."""
-        position = larger(1.0 - wi.z, 0.0) * self.per_depth
-        low = smaller(dr.floor(position), self.view_max)
+        position = plugin.larger(1.0 - wi.z, 0.0) * self.per_depth
+        low = plugin.smaller(dr.floor(position), self.view_max)
         return mi.UInt32(low), position - low
 
     def _coordinate(self, w: Any, sine: Any) -> tuple[Any, Any]:
@@ -336,8 +318,8 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
             # angle beyond it
             cosine, up = dr.abs(w.z), w.z > 0.0
             outer = self.eta * sine
-            past = negated(up) & (outer >= 1.0)
-            outer_cosine = dr.sqrt(larger(1.0 - outer * outer, 0.0))
+            past = plugin.negated(up) & (outer >= 1.0)
+            outer_cosine = dr.sqrt(plugin.larger(1.0 - outer * outer, 0.0))
             y = dr.select(up, sine, dr.select(past, sine * self.cos_critical - cosine * self.sin_critical, outer))
             z = dr.select(
                 up, cosine, dr.select(past, sine * self.sin_critical + cosine * self.cos_critical, outer_cosine)
@@ -345,22 +327,22 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
             angle = dr.atan2(y, z)
             below = dr.select(
                 past,
-                dr.fma(dr.sqrt(larger(angle, 0.0) * self.per_beyond), self.beyond, self.edge_below),
+                dr.fma(dr.sqrt(plugin.larger(angle, 0.0) * self.per_beyond), self.beyond, self.edge_below),
                 angle * (2.0 / math.pi) * self.edge_below,
             )
             top = dr.select(up, self.top_above, self.top_below)
             x = dr.select(up, angle * (2.0 / math.pi) * self.edge_above, below)
-        x = smaller(x, top)
-        low = smaller(dr.floor(x), top - 1.0)
+        x = plugin.smaller(x, top)
+        low = plugin.smaller(dr.floor(x), top - 1.0)
         node = mi.UInt32(low)
         return (node + dr.select(up, 0, self.count_above) if self.transmits else node), x - low
 
     def _fall(self, w: Any, up: Any, below: Any) -> Any:
         """Return 1 above, or `below`; beyond the last node of the side the value decreases to zero like the cosine."""
-        fall = smaller(dr.abs(w.z) * self.per_last[0], 1.0)
+        fall = plugin.smaller(dr.abs(w.z) * self.per_last[0], 1.0)
         if not self.transmits:
             return fall
-        return dr.select(up, fall, smaller(dr.abs(w.z) * self.per_last[1], 1.0) * below)
+        return dr.select(up, fall, plugin.smaller(dr.abs(w.z) * self.per_last[1], 1.0) * below)
 
     def _squares(self, sin_l: Any, sin_e: Any, dot: Any, up_l: Any, up_e: Any) -> list[Any]:
         """Return |q|^2 over k^2 as a polynomial in the index below: terms of two, one and zero directions above."""
@@ -374,19 +356,19 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
     def _structure(self, wavelength: Any, low: Any, part: Any, squares: list[Any], active: Any) -> Any:
         """Read S at |q| of a wavelength."""
         if self.per_step is None:
-            scale = self.steps_nm / larger(smaller(wavelength, self.longest), self.shortest)
+            scale = self.steps_nm / plugin.larger(plugin.smaller(wavelength, self.longest), self.shortest)
         else:
-            ends = read2(self.per_step, low, active)
+            ends = plugin.read2(self.per_step, low, active)
             scale = dr.lerp(ends[0], ends[1], part)
         square = squares[0]
         if self.transmits:
             # nodes are always within the table: without a mask, `eval` and `sample` share the read
-            ends = read2(self.index, low)
+            ends = plugin.read2(self.index, low)
             index = dr.lerp(ends[0], ends[1], part)
             square = dr.fma(dr.fma(squares[2], index, squares[1]), index, square)
-        x = scale * dr.sqrt(larger(square, 0.0))
+        x = scale * dr.sqrt(plugin.larger(square, 0.0))
         inside = x < self.s_last
-        x = smaller(x, self.s_last - 1e-3)
+        x = plugin.smaller(x, self.s_last - 1e-3)
         at = dr.floor(x)
         word = _word(self.s_values, mi.UInt32(at), active)
         value = dr.lerp(mi.Float(word & HALF), mi.Float(word >> 16), x - at) * self.s_unit
@@ -395,7 +377,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the wavelength-averaged albedo for this direction."""
         row, part = self._view(si.wi)
-        ends = read2(self.albedo, row, active)
+        ends = plugin.read2(self.albedo, row, active)
         return dr.select(self._visible(si.wi), dr.lerp(ends[0], ends[1], part), 0.0)
 
     def update(self, lobe: AnyMonolayer) -> None:
@@ -431,12 +413,14 @@ class HarmonicPlugin(MonolayerPlugin[Harmonic]):
         low_l, part_l, low_e, part_e = places
         size = sines[0] * sines[1]
         dot = light.x * eye.x + light.y * eye.y
-        cos_phi = dr.select(size > 1e-12, larger(smaller(-dot / larger(size, 1e-12), 1.0), -1.0), 1.0)
+        cos_phi = dr.select(
+            size > 1e-12, plugin.larger(plugin.smaller(-dot / plugin.larger(size, 1e-12), 1.0), -1.0), 1.0
+        )
         cosines = [mi.Float(1.0), cos_phi]
         for _ in range(2, PACKET * self.packets):
             cosines.append(2.0 * cos_phi * cosines[-1] - cosines[-2])
         rows = [_row(low_l + to_l, low_e + to_e) for to_l, to_e in _triangle(part_l > part_e)]
-        return cosines, rows, larger(part_l, part_e), smaller(part_l, part_e)
+        return cosines, rows, plugin.larger(part_l, part_e), plugin.smaller(part_l, part_e)
 
 
 def _one_triangle(above: SingleArray, below: SingleArray, across: SingleArray) -> SingleArray:
@@ -473,8 +457,8 @@ def tetrahedron(rows: list[Any], upper: Any, lower: Any, part: Any) -> list[tupl
         part: the wavelength fraction.
     """
     is_first, is_last = part > upper, part <= lower
-    one, two = larger(upper, part), smaller(lower, part)
-    middle = larger(lower, smaller(upper, part))
+    one, two = plugin.larger(upper, part), plugin.smaller(lower, part)
+    middle = plugin.larger(lower, plugin.smaller(upper, part))
     return [
         (rows[0], 1.0 - one),
         (dr.select(is_first, rows[0] + 1, rows[1]), one - middle),
@@ -489,7 +473,7 @@ def interpolated(source: PackedSeries, corners: list[tuple[Any, Any]], harmonics
     for place, weight in corners:
         total = dr.fma(weight, source.sum(place, harmonics, active), total)
     # a truncated series may be slightly negative at low light
-    return larger(total, 0.0)
+    return plugin.larger(total, 0.0)
 
 
 def _has_constant_index(lobe: Any) -> bool:
@@ -508,7 +492,7 @@ def _halves(values: Array) -> tuple[Any, Any]:
     top = max(float(values.max()), 1e-30)
     steps = np.rint(values * (HALF / top)).astype(np.uint32)
     words = steps[:-1] | steps[1:] << np.uint32(16)
-    return (mi.UInt32(aligned(words, np.uint32)) if dr.is_jit_v(mi.Float) else words), opaque(top / HALF)
+    return (mi.UInt32(plugin.aligned(words, np.uint32)) if dr.is_jit_v(mi.Float) else words), plugin.opaque(top / HALF)
 
 
 def _word(words: Any, index: Any, active: Any) -> Any:
@@ -538,7 +522,7 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         self.orders = np.asarray(np.rint(lobe.orders), dtype=int)
         self.packets = -(-lobe.table.shape[1] // PACKET)
         self.values = PackedSeries(lobe.table, self.packets)
-        self.cos_turn, self.sin_turn = opaque(math.cos(lobe.rotation)), opaque(math.sin(lobe.rotation))
+        self.cos_turn, self.sin_turn = plugin.opaque(math.cos(lobe.rotation)), plugin.opaque(math.sin(lobe.rotation))
 
     def _thinned(self, lobe: Aligned) -> Aligned:
         return dataclasses.replace(lobe, **thinned_rows(lobe, self.tables))
@@ -571,7 +555,7 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
 
     def _powers(self, w: Any, sine: Any) -> list[tuple[Any, Any]]:
         """Return cosine and sine of the multiples (from 0) of an azimuth relative to the particles."""
-        inverse = dr.rcp(larger(sine, 1e-12))
+        inverse = dr.rcp(plugin.larger(sine, 1e-12))
         x = dr.select(sine > 1e-12, w.x * inverse, 1.0)
         y = dr.select(sine > 1e-12, w.y * inverse, 0.0)
         cos, sin = dr.fma(x, self.cos_turn, y * self.sin_turn), dr.fma(y, self.cos_turn, -x * self.sin_turn)
@@ -591,7 +575,7 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         high, low = dr.select(is_first, low_l, low_e), dr.select(is_first, low_e, low_l)
         part_h, part_w = dr.select(is_first, part_l, part_e), dr.select(is_first, part_e, part_l)
         rows = [_row(high + to_h, low + to_w) for to_h, to_w in _triangle(part_h > part_w)]
-        return self._waves(one, two), rows, larger(part_h, part_w), smaller(part_h, part_w)
+        return self._waves(one, two), rows, plugin.larger(part_h, part_w), plugin.smaller(part_h, part_w)
 
     def update(self, lobe: Aligned) -> None:
         """Replace the data by another monolayer's.
@@ -602,3 +586,124 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         if not np.array_equal(np.rint(lobe.orders), self.orders):
             raise UnsupportedError("the azimuthal series changed its terms; build the scene again")
         super().update(lobe)
+
+
+# Exact sampling of bilinearly interpolated densities on unit squares, with one table read.
+#
+# A density that is bilinear between nodes is a sum of tent functions. The alias method (Walker 1977, Vose 1991) chooses
+# a node, then a point is drawn from its tent; tents at an edge are folded inwards.
+
+CHANCES = 65535  # the largest 16-bit probability
+
+
+class BilinearDensity:
+    """Densities on the unit squares of several faces, tabulated for several rows and mixed between rows.
+
+    Args:
+        weights: node values, `[row, face, y, x]`, > 0, with any normalisation.
+    """
+
+    def __init__(self, weights: Array) -> None:
+        rows, faces, height, width = weights.shape
+        share = _edge_halves(height)[:, None] * _edge_halves(width)  # part of each tent inside
+        chance = weights * share
+        total = chance.sum(axis=(1, 2, 3), keepdims=True)
+        density = weights / total * (height - 1) * (width - 1)
+        near_far = [density[:, :, y : height - 1 + y, x : width - 1 + x] for y in (0, 1) for x in (0, 1)]
+        self.cells = plugin.device_array(np.stack(near_far, axis=-1))
+        self.columns = _columns((chance / total).reshape(rows, -1))
+        self.rows, self.size = rows, (faces, height, width)
+
+    def sample(self, row: Any, part: Any, number: Any, square: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+        """Draw a unit square and a point in it.
+
+        Returns the index of the square, x and y in [0, 1], and a uniform number that is made from the unused bits of
+        `number`, with lower precision.
+
+        Args:
+            row: the lower of the two mixed rows, at most `rows - 2`.
+            part: weight of the upper row, in [0, 1].
+            number: uniform in [0, 1), for the square and the node.
+            square: two uniform numbers, for the point about the node.
+            active: mask.
+        """
+        faces, height, width = self.size
+        nodes = faces * height * width
+        upper = number < part
+        number = dr.select(upper, number / plugin.larger(part, 1e-6), (number - part) / plugin.larger(1.0 - part, 1e-6))
+        at = plugin.larger(plugin.smaller(number * nodes, nodes - 0.01), 0.0)
+        column = mi.UInt32(at)
+        number = at - mi.Float(column)
+        word = self._column((row + dr.select(upper, mi.UInt32(1), 0)) * nodes + column, active)
+        chance = mi.Float(word & CHANCES) * (1.0 / CHANCES)
+        is_column = number < chance
+        number = dr.select(
+            is_column, number / plugin.larger(chance, 1e-6), (number - chance) / plugin.larger(1.0 - chance, 1e-6)
+        )
+        node = dr.select(is_column, column, word >> 16)
+        face, rest = node // (height * width), node % (height * width)
+        x = _folded(mi.Float(rest % width) + _tent(square.x), width - 1)
+        y = _folded(mi.Float(rest // width) + _tent(square.y), height - 1)
+        return face, x, y, number
+
+    def density(self, row: Any, part: Any, face: Any, x: Any, y: Any, active: Any) -> Any:
+        """Return the density, whose integral over all faces is one."""
+        faces, height, width = self.size
+        u, v = x * (width - 1), y * (height - 1)
+        i = plugin.larger(plugin.smaller(dr.floor(u), width - 2.0), 0.0)
+        j = plugin.larger(plugin.smaller(dr.floor(v), height - 2.0), 0.0)
+        cells = (height - 1) * (width - 1)
+        cell = (row * faces + face) * cells + mi.UInt32(j) * (width - 1) + mi.UInt32(i)
+        u, v = u - i, v - j
+        found = []
+        for step in (0, faces * cells):
+            c = plugin.read4(self.cells, cell + step, active)
+            found.append(dr.lerp(dr.lerp(c[0], c[1], u), dr.lerp(c[2], c[3], u), v))
+        return dr.lerp(found[0], found[1], part)
+
+    def _column(self, index: Any, active: Any) -> Any:
+        if dr.is_jit_v(mi.Float):
+            return dr.gather(mi.UInt32, self.columns, index, active)
+        return int(self.columns[int(index)]) if active else 0
+
+
+def _edge_halves(count: int) -> Array:
+    share = np.ones(count)
+    share[[0, -1]] = 0.5
+    return share
+
+
+def _tent(number: Any) -> Any:
+    """Return a number in (-1, 1) with a tent density."""
+    low = dr.sqrt(2.0 * number) - 1.0
+    return dr.select(number < 0.5, low, 1.0 - dr.sqrt(plugin.larger(2.0 - 2.0 * number, 0.0)))
+
+
+def _folded(x: Any, top: float) -> Any:
+    """Fold numbers beyond either end back, and map [0, top] to [0, 1]."""
+    x = dr.abs(x)
+    return plugin.smaller(x, 2.0 * top - x) * (1.0 / top)
+
+
+def _columns(chances: Array) -> Any:
+    """Return each row's alias table, `[row, column]`: the column's probability in 16 bits, the alias above."""
+    rows, count = chances.shape
+    words = np.empty((rows, count), dtype=np.uint32)
+    for row in range(rows):
+        words[row] = _alias(chances[row] * count)
+    flat = words.ravel()
+    return mi.UInt32(flat) if dr.is_jit_v(mi.Float) else flat
+
+
+def _alias(heights: Array) -> NDArray[np.uint32]:
+    """Return Vose's alias table for probabilities times their number."""
+    heights = heights.copy()
+    keep, other = np.ones(len(heights)), np.arange(len(heights))
+    small, large = list(np.nonzero(heights < 1.0)[0]), list(np.nonzero(heights >= 1.0)[0])
+    while small and large:
+        low, high = small.pop(), large[-1]
+        keep[low], other[low] = heights[low], high
+        heights[high] -= 1.0 - heights[low]
+        if heights[high] < 1.0:
+            small.append(large.pop())
+    return np.asarray(np.rint(keep * CHANCES).astype(np.uint32) | (other.astype(np.uint32) << 16), dtype=np.uint32)

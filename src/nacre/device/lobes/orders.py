@@ -5,8 +5,6 @@ Gaussian offset in direction cosines, with cos_o d omega_o = d wo_t. The density
 light from below, orders are drawn at the direction above that the zero order would take.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -16,22 +14,7 @@ import numpy as np
 
 from nacre.bsdf.lobes.orders import MIN_WAVELENGTH_NM, OrdersLobe
 from nacre.core.errors import UnsupportedError
-from nacre.device.plugin import (
-    MIN_COS,
-    LobePlugin,
-    UniformNodes,
-    aligned,
-    device_array,
-    flag,
-    glossy_sample,
-    is_radiance,
-    of_line,
-    opaque,
-    opaque_int,
-    pick_line,
-    read,
-    rotated_frame,
-)
+from nacre.device import plugin
 from nacre.device.tables import WavelengthAxis
 from nacre.device.texture import DeviceParameters, DeviceTexture
 
@@ -39,7 +22,7 @@ UNIFORM_SHARE = 0.1  # of the samples, in place of the efficiency at the nearest
 FAR = 60.0  # squared distance from an order, over the squared width
 
 
-class OrdersPlugin(LobePlugin[OrdersLobe]):
+class OrdersPlugin(plugin.LobePlugin[OrdersLobe]):
     """f = E G; orders leave above the surface, or through it."""
 
     kind = "orders"
@@ -47,9 +30,9 @@ class OrdersPlugin(LobePlugin[OrdersLobe]):
     def __init__(self, lobe: OrdersLobe) -> None:
         self.transmits = lobe.transmits
         self.components = (
-            (flag("GlossyTransmission", "Anisotropic", "FrontSide", "BackSide", "NonSymmetric"),)
+            (plugin.flag("GlossyTransmission", "Anisotropic", "FrontSide", "BackSide", "NonSymmetric"),)
             if self.transmits
-            else (flag("GlossyReflection", "Anisotropic", "FrontSide"),)
+            else (plugin.flag("GlossyReflection", "Anisotropic", "FrontSide"),)
         )
         self.rotation = DeviceTexture(lobe.rotation) if lobe.rotation else None
         self.parameters = DeviceParameters(lobe.parameters)
@@ -62,38 +45,38 @@ class OrdersPlugin(LobePlugin[OrdersLobe]):
         _, thetas, azimuths, orders, waves = tables.shape
         power = tables if waves > 1 else np.repeat(tables, 2, axis=4)
         waves = power.shape[4]
-        self.power = device_array(power)
-        self.theta_nodes, self.azimuth_nodes = UniformNodes(thetas), UniformNodes(azimuths)
-        self.azimuth_stride, self.order_stride = opaque_int(orders * waves), opaque_int(waves)
-        self.theta_stride = opaque_int(azimuths * orders * waves)
-        self.params_stride = opaque_int(thetas * azimuths * orders * waves)
-        self.params_nodes = opaque_int(thetas * azimuths)
-        self.period = opaque(float(lobe.parameters[0].values[0]) if lobe.parameters else 1.0)
-        self.eta = opaque(lobe.eta)
+        self.power = plugin.device_array(power)
+        self.theta_nodes, self.azimuth_nodes = plugin.UniformNodes(thetas), plugin.UniformNodes(azimuths)
+        self.azimuth_stride, self.order_stride = plugin.opaque_int(orders * waves), plugin.opaque_int(waves)
+        self.theta_stride = plugin.opaque_int(azimuths * orders * waves)
+        self.params_stride = plugin.opaque_int(thetas * azimuths * orders * waves)
+        self.params_nodes = plugin.opaque_int(thetas * azimuths)
+        self.period = plugin.opaque(float(lobe.parameters[0].values[0]) if lobe.parameters else 1.0)
+        self.eta = plugin.opaque(lobe.eta)
         self.order_count = orders
         table, first, second = lobe.places
         self.places = self._integers(table)
-        self.first, self.second = opaque_int(first), opaque_int(second)
-        self.row = opaque_int(2 * second + 1)
-        self.lattice = [opaque(v) for v in lobe.lattice.ravel()]
-        self.inverse = [opaque(v) for v in lobe.inverse.ravel()]
-        self.vectors = device_array(lobe.orders @ lobe.lattice)
-        self.width = opaque(lobe.width)
-        self.bell = opaque(1.0 / (2.0 * math.pi * lobe.width**2))
+        self.first, self.second = plugin.opaque_int(first), plugin.opaque_int(second)
+        self.row = plugin.opaque_int(2 * second + 1)
+        self.lattice = [plugin.opaque(v) for v in lobe.lattice.ravel()]
+        self.inverse = [plugin.opaque(v) for v in lobe.inverse.ravel()]
+        self.vectors = plugin.device_array(lobe.orders @ lobe.lattice)
+        self.width = plugin.opaque(lobe.width)
+        self.bell = plugin.opaque(1.0 / (2.0 * math.pi * lobe.width**2))
         # probability of each order at each node, cumulated: [param, theta, azimuth, wavelength, order]
         share = np.moveaxis(power.astype(float), 3, 4)
         total = share.sum(axis=-1, keepdims=True)
         share = (1.0 - UNIFORM_SHARE) * share / np.maximum(total, 1e-12) + UNIFORM_SHARE / orders
         share /= share.sum(axis=-1, keepdims=True)
-        self.cumulated = device_array(np.cumsum(share, axis=-1))
-        self.albedo = device_array(total.mean(axis=(3, 4)))
-        self.azimuth_count = opaque_int(azimuths)
-        self.wave_count = opaque_int(waves)
+        self.cumulated = plugin.device_array(np.cumsum(share, axis=-1))
+        self.albedo = plugin.device_array(total.mean(axis=(3, 4)))
+        self.azimuth_count = plugin.opaque_int(azimuths)
+        self.wave_count = plugin.opaque_int(waves)
 
     @staticmethod
     def _integers(table: Any) -> Any:
         flat = table.ravel().astype(np.int32)
-        return mi.Int32(aligned(flat, np.int32)) if dr.is_jit_v(mi.Float) else flat
+        return mi.Int32(plugin.aligned(flat, np.int32)) if dr.is_jit_v(mi.Float) else flat
 
     def _place(self, index: Any, active: Any) -> Any:
         if dr.is_jit_v(mi.Float):
@@ -138,7 +121,7 @@ class OrdersPlugin(LobePlugin[OrdersLobe]):
         for a in (start, start + self.theta_stride):
             ends = []
             for b in (a, a + self.azimuth_stride):
-                ends.append(dr.lerp(read(self.power, b, active), read(self.power, b + 1, active), part))
+                ends.append(dr.lerp(plugin.read(self.power, b, active), plugin.read(self.power, b + 1, active), part))
             rows.append(dr.lerp(ends[0], ends[1], g))
         return dr.lerp(rows[0], rows[1], f)
 
@@ -165,20 +148,20 @@ class OrdersPlugin(LobePlugin[OrdersLobe]):
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Draw a direction; see the module docstring."""
-        frame = rotated_frame(self.rotation, si, active)
+        frame = plugin.rotated_frame(self.rotation, si, active)
         wi = frame(si.wi, True)
-        active = active & enabled[0] & ((dr.abs(wi.z) if self.transmits else wi.z) > MIN_COS)
+        active = active & enabled[0] & ((dr.abs(wi.z) if self.transmits else wi.z) > plugin.MIN_COS)
         scale, _, node = self._scale(si, active)
-        line, rest = pick_line(sample1)
+        line, rest = plugin.pick_line(sample1)
         where = self.axis.locate(si.wavelengths, active)
-        wavelength = dr.maximum(of_line(si.wavelengths, line), MIN_WAVELENGTH_NM)
-        low, part = of_line(where.low, line), of_line(where.fraction, line)
+        wavelength = dr.maximum(plugin.of_line(si.wavelengths, line), MIN_WAVELENGTH_NM)
+        low, part = plugin.of_line(where.low, line), plugin.of_line(where.fraction, line)
         start = self._nearest(wi, node, low, part)
         order = dr.binary_search(
-            0, self.order_count - 1, lambda i: read(self.cumulated, start + mi.UInt32(i), active) < rest
+            0, self.order_count - 1, lambda i: plugin.read(self.cumulated, start + mi.UInt32(i), active) < rest
         )
         order = mi.UInt32(order)
-        g_x, g_y = read(self.vectors, 2 * order, active), read(self.vectors, 2 * order + 1, active)
+        g_x, g_y = plugin.read(self.vectors, 2 * order, active), plugin.read(self.vectors, 2 * order + 1, active)
         offset = mi.warp.square_to_std_normal(sample2) * self.width
         shift = wavelength / scale
         x, y = g_x * shift + offset.x, g_y * shift + offset.y
@@ -190,11 +173,11 @@ class OrdersPlugin(LobePlugin[OrdersLobe]):
         else:
             x, y = x - wi.x, y - wi.y
         cos2 = 1.0 - x * x - y * y
-        active = active & (cos2 > MIN_COS)
+        active = active & (cos2 > plugin.MIN_COS)
         z = dr.sqrt(dr.maximum(cos2, 0.0))
         wo = mi.Vector3f(x, y, -dr.sign(wi.z) * z if self.transmits else z)
         value, pdf = self._eval_pdf(ctx, si, wi, wo, active)
-        bs, weight = glossy_sample(frame(wo, False), value, pdf, active)
+        bs, weight = plugin.glossy_sample(frame(wo, False), value, pdf, active)
         if self.transmits:
             bs.eta = dr.select(wi.z > 0.0, self.eta, dr.rcp(self.eta))
             bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyTransmission))
@@ -202,12 +185,12 @@ class OrdersPlugin(LobePlugin[OrdersLobe]):
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return `(value * cos wo, pdf)`."""
-        frame = rotated_frame(self.rotation, si, active)
+        frame = plugin.rotated_frame(self.rotation, si, active)
         wi, wo = frame(si.wi, True), frame(wo, True)
         if self.transmits:
-            sides = (wi.z * wo.z < 0.0) & (dr.abs(wi.z) > MIN_COS) & (dr.abs(wo.z) > MIN_COS)
+            sides = (wi.z * wo.z < 0.0) & (dr.abs(wi.z) > plugin.MIN_COS) & (dr.abs(wo.z) > plugin.MIN_COS)
         else:
-            sides = (wi.z > MIN_COS) & (wo.z > MIN_COS)
+            sides = (wi.z > plugin.MIN_COS) & (wo.z > plugin.MIN_COS)
         return self._eval_pdf(ctx, si, wi, wo, active & enabled[0] & sides)
 
     def _eval_pdf(self, ctx: Any, si: Any, wi: Any, wo: Any, active: Any) -> tuple[Any, Any]:
@@ -225,7 +208,7 @@ class OrdersPlugin(LobePlugin[OrdersLobe]):
             sum_x = dr.select(is_up, wi.x + self.eta * wo.x, wo.x + self.eta * wi.x)
             sum_y = dr.select(is_up, wi.y + self.eta * wo.y, wo.y + self.eta * wi.y)
             spread = dr.select(is_up, squared, 1.0)  # d q over d wo_t
-            eye_is_up = is_up if is_radiance(ctx) else ~is_up
+            eye_is_up = is_up if plugin.is_radiance(ctx) else ~is_up
             factor = dr.select(eye_is_up, 1.0, squared)
         for i in range(lines):
             wavelength = dr.maximum(si.wavelengths[i], MIN_WAVELENGTH_NM)
@@ -249,18 +232,18 @@ class OrdersPlugin(LobePlugin[OrdersLobe]):
             bell = dr.select(known, self.bell * dr.exp(-0.5 * dr.minimum(far, FAR)), 0.0)
             value[i] = power * factor * bell * cos_o
             at = self._nearest(wi, node, low, part) + order
-            upper = read(self.cumulated, at, known)
-            lower = dr.select(order > 0, read(self.cumulated, dr.maximum(at, 1) - 1, known), 0.0)
+            upper = plugin.read(self.cumulated, at, known)
+            lower = dr.select(order > 0, plugin.read(self.cumulated, dr.maximum(at, 1) - 1, known), 0.0)
             density = density + (upper - lower) * bell / lines
         return value & active, dr.select(active, density * spread * cos_o, 0.0)
 
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the light in the orders, averaged over wavelengths, at the nearest node."""
-        frame = rotated_frame(self.rotation, si, active)
+        frame = plugin.rotated_frame(self.rotation, si, active)
         wi = frame(si.wi, True)
         _, _, node = self._scale(si, active)
         lit = (wi.z != 0.0) if self.transmits else (wi.z > 0.0)
-        return dr.select(lit, read(self.albedo, self._direction_node(wi, node), active), 0.0)
+        return dr.select(lit, plugin.read(self.albedo, self._direction_node(wi, node), active), 0.0)
 
     def update(self, lobe: OrdersLobe) -> None:
         """Replace the data.

@@ -5,8 +5,6 @@ the outer half vector, and a cosine. Probabilities follow the power of the three
 samples from the flake lobe come from one of the flakes at the point.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

@@ -6,8 +6,6 @@ period, the position by the comb of N ridges). The mixture is averaged over the 
 drawn. The sine across tabulated ridges is drawn from the table.
 """
 
-from __future__ import annotations
-
 import abc
 import math
 from typing import Any, TypeVar
@@ -19,22 +17,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.lobes.ridge import LEAST_CHORD, Ridge, RidgeTable
 from nacre.core.errors import UnsupportedError
-from nacre.device.plugin import (
-    MIN_COS,
-    LobePlugin,
-    UniformNodes,
-    device_array,
-    flag,
-    glossy_sample,
-    normal_number,
-    of_line,
-    opaque,
-    opaque_int,
-    pick_line,
-    read,
-    replaced,
-    rotated_frame,
-)
+from nacre.device import plugin
 from nacre.device.response import DeviceResponse
 from nacre.device.tables import DeviceTable, WavelengthAxis
 from nacre.device.texture import DeviceTexture
@@ -50,35 +33,35 @@ UNIFORM_SHARE = 0.1  # share of samples that are drawn uniformly, not from the t
 RidgeT = TypeVar("RidgeT", Ridge, RidgeTable)
 
 
-class ReflectingRidges(LobePlugin[RidgeT]):
+class ReflectingRidges(plugin.LobePlugin[RidgeT]):
     """Ridges along y of a frame rotated about the normal, which reflect above the surface only."""
 
     spread: Any
 
     def __init__(self, lobe: RidgeT) -> None:
-        self.components = (flag("GlossyReflection", "Anisotropic", "FrontSide"),)
+        self.components = (plugin.flag("GlossyReflection", "Anisotropic", "FrontSide"),)
         self.axis = WavelengthAxis(lobe.wavelengths_nm)
         self.rotation = DeviceTexture(lobe.rotation) if lobe.rotation else None
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Draw a direction; see the module docstring."""
-        frame = rotated_frame(self.rotation, si, active)
+        frame = plugin.rotated_frame(self.rotation, si, active)
         wi = frame(si.wi, True)
-        along = self.spread * normal_number(sample2[1])  # by inversion
+        along = self.spread * plugin.normal_number(sample2[1])  # by inversion
         x, y, active = self._draw(
-            si, wi, along - wi.y, *pick_line(sample1), sample2[0], active & enabled[0] & (wi.z > MIN_COS)
+            si, wi, along - wi.y, *plugin.pick_line(sample1), sample2[0], active & enabled[0] & (wi.z > plugin.MIN_COS)
         )
         cos2 = 1.0 - x * x - y * y
-        active = active & (cos2 > MIN_COS)
+        active = active & (cos2 > plugin.MIN_COS)
         wo = mi.Vector3f(x, y, dr.sqrt(dr.maximum(cos2, 0.0)))
         value, pdf = self._eval_pdf(si, wi, wo, active)
-        return glossy_sample(frame(wo, False), value, pdf, active)
+        return plugin.glossy_sample(frame(wo, False), value, pdf, active)
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return `(value * cos wo, pdf)`."""
-        frame = rotated_frame(self.rotation, si, active)
+        frame = plugin.rotated_frame(self.rotation, si, active)
         wi, wo = frame(si.wi, True), frame(wo, True)
-        return self._eval_pdf(si, wi, wo, active & enabled[0] & (wi.z > MIN_COS) & (wo.z > MIN_COS))
+        return self._eval_pdf(si, wi, wo, active & enabled[0] & (wi.z > plugin.MIN_COS) & (wo.z > plugin.MIN_COS))
 
     def update(self, lobe: RidgeT) -> None:
         """Replace the data.
@@ -119,10 +102,10 @@ class RidgePlugin(ReflectingRidges[Ridge]):
         self._set_numbers(lobe)
 
     def _set_numbers(self, lobe: Ridge) -> None:
-        self.pitch, self.width = opaque(lobe.pitch_nm), opaque(lobe.width_nm)
-        self.count, self.spread = opaque(lobe.count), opaque(lobe.spread_along)
-        self.deviation = replaced(self.deviation, opaque(lobe.height_deviation_nm))
-        self.fill = replaced(self.fill, opaque(lobe.fill))
+        self.pitch, self.width = plugin.opaque(lobe.pitch_nm), plugin.opaque(lobe.width_nm)
+        self.count, self.spread = plugin.opaque(lobe.count), plugin.opaque(lobe.spread_along)
+        self.deviation = plugin.replaced(self.deviation, plugin.opaque(lobe.height_deviation_nm))
+        self.fill = plugin.replaced(self.fill, plugin.opaque(lobe.fill))
         # the envelope in t = u b/2, over the range of the renderer's wavelengths (>= 360 nm)
         shortest = min(float(lobe.wavelengths_nm[0]), 360.0)
         self.envelope = StepDensity(
@@ -138,7 +121,7 @@ class RidgePlugin(ReflectingRidges[Ridge]):
     def _draw(self, si: Any, wi: Any, y: Any, line: Any, rest: Any, number: Any, active: Any) -> Any:
         """Draw from the order of the grating or the envelope, at one of the wavelengths."""
         limit = dr.sqrt(dr.maximum(1.0 - y * y, 0.0))
-        wavelength = self._limited(of_line(si.wavelengths, line))
+        wavelength = self._limited(plugin.of_line(si.wavelengths, line))
         share = self._comb_share(wi, wavelength)
         scale = math.pi * self.width / wavelength  # t per sine
         low, high = self.envelope.cdf((wi.x - limit) * scale), self.envelope.cdf((wi.x + limit) * scale)
@@ -147,7 +130,7 @@ class RidgePlugin(ReflectingRidges[Ridge]):
         order = dr.round(across / period)
         place = self.comb.invert(dr.clip(rest / dr.maximum(share, 1e-6), 0.0, 1.0), active)
         x = dr.select(rest < share, (order + place) * period, across) - wi.x
-        return x, y, active & (limit > MIN_COS)
+        return x, y, active & (limit > plugin.MIN_COS)
 
     def _eval_pdf(self, si: Any, wi: Any, wo: Any, active: Any) -> tuple[Any, Any]:
         psi = wi + wo
@@ -235,11 +218,11 @@ class StepDensity:
         mass = mass + 1e-6 * mass.mean()  # avoids empty cells
         cdf = np.concatenate([[0.0], np.cumsum(mass)])
         cdf /= cdf[-1]
-        self.table = device_array(cdf)
+        self.table = plugin.device_array(cdf)
         self.cell_count = cells  # part of the kernel: it sets the number of search steps
-        self.edges = UniformNodes(cells + 1)
-        self.per_unit = opaque(cells / (2.0 * reach))
-        self.reach = opaque(reach)
+        self.edges = plugin.UniformNodes(cells + 1)
+        self.per_unit = plugin.opaque(cells / (2.0 * reach))
+        self.reach = plugin.opaque(reach)
 
     def _cell(self, x: Any) -> tuple[Any, Any]:
         return self.edges.cell(dr.clip((x + self.reach) * self.per_unit, 0.0, self.edges.last))
@@ -247,19 +230,19 @@ class StepDensity:
     def cdf(self, x: Any, active: Any = True) -> Any:
         """Return the cumulative probability at `x`."""
         low, fraction = self._cell(x)
-        return dr.lerp(read(self.table, low, active), read(self.table, low + 1, active), fraction)
+        return dr.lerp(plugin.read(self.table, low, active), plugin.read(self.table, low + 1, active), fraction)
 
     def density(self, x: Any, active: Any = True) -> Any:
         """Return the density at `x`."""
         low, _ = self._cell(x)
-        step = read(self.table, low + 1, active) - read(self.table, low, active)
+        step = plugin.read(self.table, low + 1, active) - plugin.read(self.table, low, active)
         return dr.select(dr.abs(x) <= self.reach, step * self.per_unit, 0.0)
 
     def invert(self, share: Any, active: Any = True) -> Any:
         """Return the inverse of `cdf`."""
-        low = dr.binary_search(0, self.cell_count, lambda i: read(self.table, i + 1, active) < share)
+        low = dr.binary_search(0, self.cell_count, lambda i: plugin.read(self.table, i + 1, active) < share)
         low = dr.minimum(mi.UInt32(low), self.edges.max_low)
-        start, end = read(self.table, low, active), read(self.table, low + 1, active)
+        start, end = plugin.read(self.table, low, active), plugin.read(self.table, low + 1, active)
         fraction = dr.clip((share - start) / dr.maximum(end - start, 1e-20), 0.0, 1.0)
         return (mi.Float(low) + fraction) / self.per_unit - self.reach
 
@@ -288,13 +271,13 @@ class RidgeTablePlugin(ReflectingRidges[RidgeTable]):
         self.shape = lobe.power.shape
         power = lobe.power if lobe.power.shape[3] > 1 else np.repeat(lobe.power, 2, axis=3)
         alongs, sines, _, waves = power.shape
-        self.power = device_array(power)
-        self.along_nodes, self.sine_nodes = UniformNodes(alongs), UniformNodes(sines)
-        self.strides = [opaque_int(n) for n in (sines * sines * waves, sines * waves, waves)]
-        self.half = opaque(0.5 * (sines - 1))
+        self.power = plugin.device_array(power)
+        self.along_nodes, self.sine_nodes = plugin.UniformNodes(alongs), plugin.UniformNodes(sines)
+        self.strides = [plugin.opaque_int(n) for n in (sines * sines * waves, sines * waves, waves)]
+        self.half = plugin.opaque(0.5 * (sines - 1))
         self.cells = sines - 1  # part of the kernel: it sets the number of search steps
-        self.sine_count, self.wave_count = opaque_int(sines), opaque_int(waves)
-        self.spread, self.fill = opaque(lobe.spread_along), opaque(lobe.fill)
+        self.sine_count, self.wave_count = plugin.opaque_int(sines), plugin.opaque_int(waves)
+        self.spread, self.fill = plugin.opaque(lobe.spread_along), plugin.opaque(lobe.fill)
         # density at the exits' nodes and probability of each cell between them, cumulated: [c, a, wavelength, exit]
         rows = np.moveaxis(power, 3, 2).astype(float)
         total = 0.5 * (rows[..., 1:] + rows[..., :-1]).sum(axis=-1, keepdims=True)
@@ -302,21 +285,25 @@ class RidgeTablePlugin(ReflectingRidges[RidgeTable]):
         shape = np.where(is_dark, 1.0, rows / np.where(is_dark, 1.0, total) * self.cells)
         density = ((1.0 - UNIFORM_SHARE) * shape + UNIFORM_SHARE) / self.cells
         share = 0.5 * (density[..., 1:] + density[..., :-1])
-        self.density = device_array(density)
-        self.cumulated = device_array(np.cumsum(share, axis=-1) / share.sum(axis=-1, keepdims=True))
-        self.albedo = device_array(lobe.fill * total.mean(axis=(2, 3)) * (2.0 / self.cells))
+        self.density = plugin.device_array(density)
+        self.cumulated = plugin.device_array(np.cumsum(share, axis=-1) / share.sum(axis=-1, keepdims=True))
+        self.albedo = plugin.device_array(lobe.fill * total.mean(axis=(2, 3)) * (2.0 / self.cells))
 
     def _draw(self, si: Any, wi: Any, y: Any, line: Any, rest: Any, number: Any, active: Any) -> Any:
         """Draw from the table at the nodes nearest to the light and to one of the wavelengths."""
         _, chord = _along(wi.y, y)
         where = self.axis.locate(si.wavelengths, active)
-        row = self._node(wi) * self.wave_count + _nearest(of_line(where.low, line), of_line(where.fraction, line))
+        row = self._node(wi) * self.wave_count + _nearest(
+            plugin.of_line(where.low, line), plugin.of_line(where.fraction, line)
+        )
         start = row * mi.UInt32(self.cells)
         drawn = dr.clip(number, 0.0, 0.9999999)
-        cell = dr.binary_search(0, self.cells - 1, lambda i: read(self.cumulated, start + mi.UInt32(i), active) < drawn)
+        cell = dr.binary_search(
+            0, self.cells - 1, lambda i: plugin.read(self.cumulated, start + mi.UInt32(i), active) < drawn
+        )
         cell = mi.UInt32(cell)
-        first = dr.select(cell > 0, read(self.cumulated, start + dr.maximum(cell, 1) - 1, active), 0.0)
-        last = read(self.cumulated, start + cell, active)
+        first = dr.select(cell > 0, plugin.read(self.cumulated, start + dr.maximum(cell, 1) - 1, active), 0.0)
+        last = plugin.read(self.cumulated, start + cell, active)
         share = dr.clip((drawn - first) / dr.maximum(last - first, 1e-12), 0.0, 1.0)
         # a linear density in the cell, by inversion
         p_0, p_1 = self._ends(row, cell, active)
@@ -344,7 +331,7 @@ class RidgeTablePlugin(ReflectingRidges[RidgeTable]):
                 rows = []
                 for row in (plane, plane + self.strides[1]):
                     ends = [
-                        dr.lerp(read(self.power, at, active), read(self.power, at + 1, active), part)
+                        dr.lerp(plugin.read(self.power, at, active), plugin.read(self.power, at + 1, active), part)
                         for at in (row, row + self.strides[2])
                     ]
                     rows.append(dr.lerp(ends[0], ends[1], f_b))
@@ -363,12 +350,12 @@ class RidgeTablePlugin(ReflectingRidges[RidgeTable]):
     def _ends(self, row: Any, cell: Any, active: Any) -> tuple[Any, Any]:
         """Return the density at both ends of a cell."""
         at = row * self.sine_count + cell
-        return read(self.density, at, active), read(self.density, at + 1, active)
+        return plugin.read(self.density, at, active), plugin.read(self.density, at + 1, active)
 
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the reflected light, averaged over wavelengths, at the nearest node."""
-        wi = rotated_frame(self.rotation, si, active)(si.wi, True)
-        return dr.select(wi.z > 0.0, read(self.albedo, self._node(wi), active), 0.0)
+        wi = plugin.rotated_frame(self.rotation, si, active)(si.wi, True)
+        return dr.select(wi.z > 0.0, plugin.read(self.albedo, self._node(wi), active), 0.0)
 
     def update(self, lobe: RidgeTable) -> None:
         """Replace the data; see `ReflectingRidges.update`."""

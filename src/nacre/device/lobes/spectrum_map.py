@@ -1,7 +1,5 @@
 """The relief's spectrum map on the device: a quadratic spline over psi, sampled by its mean spectrum."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The smooth interface on the device: specular reflection and refraction, weighted by the tables."""
 
-from __future__ import annotations
-
 import abc
 from typing import Any, TypeVar
 
@@ -9,15 +7,7 @@ import drjit as dr
 import mitsuba as mi
 
 from nacre.bsdf.lobes.specular import AlignedSpecular, InterfaceLobe, Specular
-from nacre.device.plugin import (
-    MIN_COS,
-    Facet,
-    LobePlugin,
-    flag,
-    flip_z,
-    is_radiance,
-    larger,
-)
+from nacre.device.plugin import MIN_COS, Facet, LobePlugin, flag, flip_z, is_radiance, larger
 from nacre.device.response import Azimuths, DeviceResponse, share_reflected
 
 AnyInterface = TypeVar("AnyInterface", bound=InterfaceLobe)

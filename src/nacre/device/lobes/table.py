@@ -3,8 +3,6 @@
 Nearly Lambertian tables use cosine-weighted sampling instead, at half the cost and equal noise.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any
@@ -16,18 +14,7 @@ import numpy as np
 from nacre.bsdf.lobes.table import TableLobe
 from nacre.core.arrays import direction
 from nacre.core.errors import UnsupportedError
-from nacre.device.plugin import (
-    MIN_COS,
-    LobePlugin,
-    device_array,
-    flag,
-    glossy_sample,
-    opaque,
-    opaque_int,
-    read,
-    read2,
-    unit_azimuth,
-)
+from nacre.device import plugin
 from nacre.device.tables import DeviceTable, WavelengthAxis
 
 COSINE_SHARE = 0.1  # of the samples: covers all directions and bounds the weights
@@ -37,13 +24,13 @@ MAX_TABLE_VALUES = 1 << 27
 TURNS = 8  # light azimuths over which the density of an anisotropic table is averaged
 
 
-class TablePlugin(LobePlugin[TableLobe]):
+class TablePlugin(plugin.LobePlugin[TableLobe]):
     """f over three angles; channels with spectra, or one channel per wavelength."""
 
     kind = "table"
 
     def __init__(self, lobe: TableLobe) -> None:
-        self.components = (flag("GlossyReflection", "FrontSide"),)
+        self.components = (plugin.flag("GlossyReflection", "FrontSide"),)
         self.coordinates = lobe.coordinates
         self.axis = WavelengthAxis(lobe.wavelengths_nm)
         self._set(lobe)
@@ -63,20 +50,20 @@ class TablePlugin(LobePlugin[TableLobe]):
                 raise UnsupportedError(
                     f"a table with {values.size} values is too large for rendering; use fewer angles or channels"
                 )
-            self.channels = opaque_int(values.shape[-1] - 1)
+            self.channels = plugin.opaque_int(values.shape[-1] - 1)
             # adjacent wavelengths in one load
-            self.values = device_array(np.stack([values[..., :-1], values[..., 1:]], axis=-1))
+            self.values = plugin.device_array(np.stack([values[..., :-1], values[..., 1:]], axis=-1))
         else:
             self.colours = values.shape[-1]
-            self.values = device_array(values)
+            self.values = plugin.device_array(values)
             self.basis = [DeviceTable(row[None, :, None]) for row in basis]
         sizes = values.shape[:-1]
         self.is_signed, self.has_turn = lobe.is_signed, lobe.nodes_turn is not None
         own = lobe.nodes if lobe.nodes_turn is None else (lobe.nodes_turn, *lobe.nodes)
-        self.nodes = [None if nodes is None else device_array(nodes) for nodes in own]
-        self.tops = [opaque(n - 1) for n in sizes]
-        self.max_lows = [opaque(max(n - 2, 0)) for n in sizes]
-        self.sizes = [opaque_int(n) for n in sizes]
+        self.nodes = [None if nodes is None else plugin.device_array(nodes) for nodes in own]
+        self.tops = [plugin.opaque(n - 1) for n in sizes]
+        self.max_lows = [plugin.opaque(max(n - 2, 0)) for n in sizes]
+        self.sizes = [plugin.opaque_int(n) for n in sizes]
         self._set_sampling(lobe)
 
     def _set_sampling(self, lobe: TableLobe) -> None:
@@ -107,17 +94,17 @@ class TablePlugin(LobePlugin[TableLobe]):
         self.exits: Any = None
         if not self.is_broad:
             self.exits = mi.MarginalContinuous2D1(densities, [np.linspace(0.0, 1.0, VIEW_NODES).tolist()], True, True)
-        self.albedo = device_array(means)
-        self.view_top, self.view_max = opaque(VIEW_NODES - 1), opaque(VIEW_NODES - 2)
+        self.albedo = plugin.device_array(means)
+        self.view_top, self.view_max = plugin.opaque(VIEW_NODES - 1), plugin.opaque(VIEW_NODES - 2)
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Draw from the exit table or cosine-weighted; a broad lobe always cosine-weighted."""
-        active = active & enabled[0] & (si.wi.z > MIN_COS)
+        active = active & enabled[0] & (si.wi.z > plugin.MIN_COS)
         wo = mi.warp.square_to_cosine_hemisphere(sample2)
         if not self.is_broad:
             wo = self._drawn(si, sample1, sample2, wo, active)
         value, pdf = self.eval_pdf(ctx, si, wo, active, enabled)
-        return glossy_sample(wo, value, pdf, active)
+        return plugin.glossy_sample(wo, value, pdf, active)
 
     def _drawn(self, si: Any, sample1: Any, sample2: Any, cosine: Any, active: Any) -> Any:
         """Return a direction from the exit table, or `cosine` with probability `COSINE_SHARE`."""
@@ -129,13 +116,13 @@ class TablePlugin(LobePlugin[TableLobe]):
         azimuth = dr.select(rest < 0.5, -place[1], place[1]) * math.pi
         sin_theta, cos_theta = dr.sincos(theta)
         sin_phi, cos_phi = dr.sincos(azimuth)
-        x, y = unit_azimuth(si.wi)
+        x, y = plugin.unit_azimuth(si.wi)
         drawn = mi.Vector3f(sin_theta * (cos_phi * x - sin_phi * y), sin_theta * (cos_phi * y + sin_phi * x), cos_theta)
         return dr.select(by_cosine, cosine, drawn)
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return `(f cos wo, pdf)`."""
-        active = active & enabled[0] & (si.wi.z > MIN_COS) & (wo.z > MIN_COS)
+        active = active & enabled[0] & (si.wi.z > plugin.MIN_COS) & (wo.z > plugin.MIN_COS)
         value = self._look_up(si, wo, active) * wo.z
         if self.is_broad:
             return value & active, dr.select(active, wo.z * dr.inv_pi, 0.0)
@@ -177,12 +164,12 @@ class TablePlugin(LobePlugin[TableLobe]):
         if self.is_spectral:
             starts = [corner * self.channels for corner in corners]
             for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
-                pairs = (read2(self.values, start + low, active) for start in starts)
+                pairs = (plugin.read2(self.values, start + low, active) for start in starts)
                 result[k] = _multilinear([dr.lerp(pair[0], pair[1], part) for pair in pairs], parts)
         else:
             starts = [corner * self.colours for corner in corners]
             for j in range(self.colours):
-                totals[j] = _multilinear([read(self.values, start + j, active) for start in starts], parts)
+                totals[j] = _multilinear([plugin.read(self.values, start + j, active) for start in starts], parts)
         for total, basis in zip(totals, [] if self.is_spectral else self.basis, strict=True):
             result = result + total * basis.look_up(mi.UInt32(0), mi.Float(0.0), where, None, active)[0]
         return dr.maximum(result, 0.0)
@@ -191,7 +178,7 @@ class TablePlugin(LobePlugin[TableLobe]):
         """Return the coordinates in [0, 1], as `TableLobe.coordinates_of`, led by the light's azimuth if it counts."""
         turn: tuple[Any, ...] = ()
         if self.has_turn:
-            x, y = unit_azimuth(light)
+            x, y = plugin.unit_azimuth(light)
             azimuth = dr.atan2(y, x) * (0.5 * dr.inv_pi)
             turn = (dr.select(azimuth < 0.0, azimuth + 1.0, azimuth),)
         if self.coordinates == "half":
@@ -205,7 +192,7 @@ class TablePlugin(LobePlugin[TableLobe]):
         position = _view(si.wi) * self.view_top
         low = dr.minimum(dr.floor(position), self.view_max)
         at = mi.UInt32(low)
-        value = dr.lerp(read(self.albedo, at, active), read(self.albedo, at + 1, active), position - low)
+        value = dr.lerp(plugin.read(self.albedo, at, active), plugin.read(self.albedo, at + 1, active), position - low)
         return dr.select(si.wi.z > 0.0, value, 0.0)
 
     def update(self, lobe: TableLobe) -> None:
@@ -238,14 +225,14 @@ def _view(wi: Any) -> Any:
 
 def _to_direction(wi: Any, wo: Any) -> tuple[Any, Any, Any]:
     """Return the "direction" coordinates, as `nacre.bsdf.lobes.table.to_direction`."""
-    (x, y), (cos_o, sin_o) = unit_azimuth(wi), unit_azimuth(wo)
+    (x, y), (cos_o, sin_o) = plugin.unit_azimuth(wi), plugin.unit_azimuth(wo)
     return _view(wi), _view(wo), dr.atan2(x * sin_o - y * cos_o, x * cos_o + y * sin_o) * dr.inv_pi
 
 
 def _to_specular(wi: Any, wo: Any) -> tuple[Any, Any, Any]:
     """Return the "specular" coordinates, as `nacre.bsdf.lobes.table.to_specular`."""
     sin_i = dr.sqrt(dr.maximum(wi.x * wi.x + wi.y * wi.y, 0.0))
-    cos_p, sin_p = unit_azimuth(wi)
+    cos_p, sin_p = plugin.unit_azimuth(wi)
     x, y = wo.x * cos_p + wo.y * sin_p, wo.y * cos_p - wo.x * sin_p
     along, to_normal = wi.z * wo.z - sin_i * x, wi.z * x + sin_i * wo.z
     radial = dr.atan2(dr.sqrt(to_normal * to_normal + y * y), along)
@@ -254,9 +241,9 @@ def _to_specular(wi: Any, wo: Any) -> tuple[Any, Any, Any]:
 
 def _between(nodes: Any, coordinate: Any, most: Any, active: Any) -> tuple[Any, Any]:
     """Return the lower node and the upper node's weight; values beyond the ends are held."""
-    above = dr.binary_search(0, dr.width(nodes), lambda i: read(nodes, mi.UInt32(i), active) <= coordinate)
+    above = dr.binary_search(0, dr.width(nodes), lambda i: plugin.read(nodes, mi.UInt32(i), active) <= coordinate)
     low = mi.UInt32(dr.minimum(mi.Float(dr.maximum(mi.UInt32(above), 1) - 1), most))
-    first, last = read(nodes, low, active), read(nodes, low + 1, active)
+    first, last = plugin.read(nodes, low, active), plugin.read(nodes, low + 1, active)
     return low, dr.clip((coordinate - first) / (last - first), 0.0, 1.0)
 
 
@@ -264,7 +251,7 @@ def _to_half(wi: Any, wo: Any) -> tuple[Any, Any, Any]:
     """Return the "half" coordinates in [0, 1], as `nacre.bsdf.lobes.table.to_half`."""
     h = dr.normalize(wi + wo)
     sin_h = dr.sqrt(dr.maximum(h.x * h.x + h.y * h.y, 0.0))
-    cos_p, sin_p = unit_azimuth(h)
+    cos_p, sin_p = plugin.unit_azimuth(h)
     x, y = wi.x * cos_p + wi.y * sin_p, wi.y * cos_p - wi.x * sin_p
     dx, dz = h.z * x - sin_h * wi.z, sin_h * x + h.z * wi.z
     phi = dr.atan2(y, dx)

@@ -1,7 +1,5 @@
 """The random walk on arrays: a layered lobe's values with standard errors, and its albedo."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -5,8 +5,6 @@ two directions of travel, mirror images connected by the smooth interfaces; thei
 one-dimensional layer stack.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -3,8 +3,6 @@
 Power is transported: the factors (n_o/n_i)^2 at entry and exit of the whole stack cancel.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

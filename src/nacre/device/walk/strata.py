@@ -1,7 +1,5 @@
 """A layered lobe's arrays on the device, the walk's look-ups, and the base lobes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

@@ -16,30 +16,16 @@ a one-dimensional layer stack.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from nacre.device.tables import Located
-from nacre.device.walk.delta_tracking import delta_flight
 from nacre.device.walk.exit_importance import Exit, exit_importance, inner_interfaces_scatter, rough_one
 from nacre.device.walk.interface import interface_event, interface_value, refract
-from nacre.device.walk.platelet import (
-    BY_FLAKE,
-    BY_NOTHING,
-    TINY,
-    Flake,
-    Walker,
-    flake_gain,
-    one_of,
-    reflected_by,
-    scattered_by_other,
-    select,
-    survival_probability,
-    two_numbers,
-)
-from nacre.device.walk.strata import BaseLobes, Strata
+from nacre.device.walk.strata import DENSITY, PER_AXES, BaseLobes, Strata
 
 MAX_EVENTS = 20_000  # limit per lane; the remaining light is below 1e-6
 
@@ -459,3 +445,257 @@ def first_light(strata: Strata, w: Any, f: Any) -> Walker:
     nothing = mi.UInt32(BY_NOTHING)
     turn = () if strata.glints is None else (nothing, mi.Float(0.0), mi.Float(0.0), mi.Float(1.0), mi.UInt32(0))
     return Walker(mi.Vector3f(w), stratum, dr.select(down, mi.Float(0.0), 1.0), f, turn)
+
+
+# Delta tracking: free paths ("flights") through all transmitting flakes, to the next reflection or absorption.
+#
+# If most flakes transmit most light, a walk that stops at each flake wastes its time. Here the free path follows the
+# wavelength-dependent extinction: it is drawn from the mixture of the four wavelengths' distributions, weighted by
+# throughput, and each wavelength is weighted by its own density over the mixture's, which preserves the sum. At the end
+# a flake normal is drawn from all visible ones; its 1 - T over the mean is the only weight different from 1. Russian
+# roulette removes weights below 1. Weights above 1 would grow without bound in a long walk; light with a weight above
+# `RISEN` therefore continues flake by flake, with unit weights. Extinctions below `LEAST` are raised by null
+# collisions, since 1 - T of a rare steep normal may be as large as 1, far above the mean.
+#
+# Each free path is connected to the exit at one point before the next boundary, even if it does not end there.
+
+# Second moment of bottle 1's power relative to flake-by-flake tracking: 1.05 at a limit of 1.2 (equal time), 1.08 at 2
+# (0.62 of its time), 1.11 at 4 (0.58), 1.15 at 8.
+RISEN = 8.0
+LEAST = 0.1
+SMALLEST_RATE = 1e-9
+
+
+def delta_flight(
+    strata: Strata, where: Located, connection: Exit | None, light: Walker, rng: Any, alive: Any, seen: Any
+) -> tuple[Walker, Any, Any, Any, Any, Any]:
+    """Move along a free path to a reflecting or absorbing flake, or to a boundary.
+
+    Returns:
+        the light after the event, survival, contribution to the exit, arrival at the upper and at the lower boundary,
+        whether a connected vertex was passed.
+    """
+    v = -light.d
+    carried = dr.sum(light.f)
+    is_far = carried < FULL * RISEN
+    ways = []
+    total = mi.UnpolarizedSpectrum(0.0)
+    for slot in range(strata.slots):
+        row = strata.flake_row(light.stratum, slot, alive)
+        local = strata.into_flake(row, v)
+        mean = strata.mean_extinction(strata.kind_at(light.stratum, slot, alive), local, where, alive)
+        rate = dr.select(is_far, dr.maximum(mean, LEAST), 1.0)
+        share = strata.shown_area(row, local) * rate
+        ways.append((row, local, mean, rate, share))
+        total += share
+
+    wall = dr.select(light.d.z > 0, light.depth, 1 - light.depth) / dr.maximum(dr.abs(light.d.z), 1e-9)
+    passes = dr.exp(-total * wall)
+    which, node = two_numbers(rng, alive)
+    chosen, p_pass = one_of((total, passes), light.f, which * carried)
+    chosen, u = dr.maximum(chosen, SMALLEST_RATE), rng.next_float32(alive)
+    inside = alive & (u < 1 - p_pass)
+    # the connection point follows the same distribution, even for flights to a boundary
+    u = dr.select(inside, u, (1 - p_pass) * dr.clip(1 - (1 - u) / dr.maximum(p_pass, TINY), 0.0, 1.0))
+    length = dr.minimum(-dr.log(1 - u) / chosen, wall)
+    depth = dr.clip(light.depth - light.d.z * length, 0.0, 1.0)
+    shape = light.f * total * dr.exp(-total * length)
+    per_met = carried / dr.maximum(dr.sum(shape), TINY)
+
+    row, local, mean, rate, slot, shape = _slot_of(ways, total, shape, rng, alive)
+    flake = Flake.of(strata, light.stratum, row, local, slot, alive)
+    per_rate = dr.rcp(rate)
+    way, choice = two_numbers(rng, alive)
+    gained = mi.UnpolarizedSpectrum(0.0)
+    if connection is not None:
+        per_linked = carried / dr.maximum(dr.sum(shape / dr.maximum(1 - passes, 1e-7)), TINY)
+        gain = flake_gain(strata, connection, where, light, depth, flake, node, way, alive)
+        gained = dr.select(alive, gain * shape * (per_linked * per_rate), 0.0)
+
+    met = shape * per_met
+    m, v_m = flake.normal(rng, inside)
+    reflect, transmit = strata.flake_response(flake.kind, dr.abs(v_m), node, where, inside)
+    reflected = met * reflect * per_rate
+    straight = met * dr.select(is_far, 1 - mean * per_rate, transmit)
+    one, two = dr.sum(reflected), dr.sum(straight)
+    survival = survival_probability(carried, one + two)
+    choice *= one + two
+    lives, reflects = choice < survival * (one + two), choice < survival * one
+    after = dr.select(reflects, reflected, straight)
+    after *= (one + two) / dr.maximum(survival * dr.select(reflects, one, two), TINY)
+    passed = light.f * passes
+    passed *= carried / dr.maximum(dr.sum(passed), TINY)
+    reflects &= inside
+    direction = dr.select(reflects, flake.turned(strata, m, v_m), light.d)
+    throughput, turn = dr.select(inside, after, passed), reflected_by(light, flake, m, reflects)
+    moved = Walker(direction, light.stratum, dr.select(inside, depth, light.depth), throughput, turn)
+    leaves = alive & ~inside
+    up = light.d.z > 0
+    return moved, alive & (~inside | lives), gained, leaves & up, leaves & ~up, seen | reflects
+
+
+def _slot_of(ways: list[Any], total: Any, shape: Any, rng: Any, active: Any) -> tuple[Any, ...]:
+    """Draw the flake species; return its entry in `ways`, its slot, and the shape weighted for the choice."""
+    row, local, mean, rate, share = ways[0]
+    slot = mi.UInt32(0)
+    if len(ways) == 1:
+        return row, local, mean, rate, slot, shape
+    shape = shape / dr.maximum(total, TINY)
+    parts = [dr.sum(shape * way[4]) for way in ways]
+    part = parts[0]
+    whole = sum(parts[1:], parts[0])
+    left = rng.next_float32(active) * whole - part
+    for i in range(1, len(ways)):
+        take = (left >= 0) & (parts[i] > 0)
+        row = list(select(take, tuple(ways[i][0]), tuple(row)))
+        new = (*ways[i][1:], parts[i], mi.UInt32(i))
+        local, mean, rate, share, part, slot = select(take, new, (local, mean, rate, share, part, slot))
+        left -= parts[i]
+    return row, local, mean, rate, slot, shape * share * (whole / dr.maximum(part, TINY))
+
+
+# The state of a random walk, and its events at flakes.
+
+TINY = 1e-12
+BY_NOTHING, BY_FLAKE, BY_MORE = range(3)
+FULL = 4.0  # summed initial throughput of the four wavelengths
+
+
+@dataclass
+class Walker:
+    """State of a random walk: travel direction, stratum, depth in it, throughput of each wavelength.
+
+    With glints `turn` describes the scattering so far: unscattered, by one flake of the uppermost stratum (with its
+    normal in its own frame and its species), or other; without glints it is empty.
+    """
+
+    d: Any
+    stratum: Any
+    depth: Any
+    f: Any
+    turn: tuple[Any, ...] = ()
+
+    def fresh(self, active: Any) -> Any:
+        """Return the mask of unscattered light in the uppermost stratum, which shows glints; None without glints."""
+        return active & (self.turn[0] == BY_NOTHING) & (self.stratum == 0) if self.turn else None
+
+
+@dataclass
+class Flake:
+    """A flake event: the flake's row, the backward light direction, axes, their product and its length."""
+
+    row: list[Any]
+    v: Any
+    axes: Any
+    stretched: Any
+    area: Any
+    kind: Any
+    slot: Any
+
+    @staticmethod
+    def of(strata: Strata, stratum: Any, row: list[Any], v: Any, slot: Any, active: Any) -> Flake:
+        """Return a slot's flake; `v` is the backward light direction in its frame."""
+        axes = mi.Vector3f(row[1], row[2], row[3])
+        stretched = axes * v
+        return Flake(row, v, axes, stretched, dr.norm(stretched), strata.kind_at(stratum, slot, active), slot)
+
+    def normal(self, rng: Any, active: Any) -> tuple[Any, Any]:
+        """Draw a normal in proportion to its projected area; return it and its cosine."""
+        point = mi.warp.square_to_uniform_sphere(mi.Point2f(rng.next_float32(active), rng.next_float32(active)))
+        m = dr.normalize(self.axes * (self.stretched / self.area * (1 + 1e-6) + point))
+        return m, dr.dot(self.v, m)
+
+    def half(self, strata: Strata, to: Any) -> tuple[Any, Any]:
+        """Return the normal that reflects the light towards `to`, and its density; 0 for the forward direction."""
+        half = self.v + strata.into_flake(self.row, to)
+        length = dr.norm(half)
+        h = half / dr.maximum(length, 1e-6)
+        slope = dr.maximum(dr.squared_norm(h * mi.Vector3f(*self.row[PER_AXES])), TINY)
+        density = self.row[DENSITY] / dr.square(slope)
+        return h, dr.select(length > 1e-6, density, 0.0)
+
+    def turned(self, strata: Strata, m: Any, v_m: Any) -> Any:
+        """Return the travel direction after reflection by a normal."""
+        return dr.normalize(strata.from_flake(self.row, dr.fma(m, 2 * v_m, -self.v)))
+
+
+def flake_gain(
+    strata: Strata, connection: Exit, where: Located, light: Walker, depth: Any, flake: Flake, node: Any,
+    way: Any, active: Any,
+) -> Any:  # fmt: skip
+    """Return D(h) R(|v.h|) / (4 sigma(v)) times the importance, and times the glint factor.
+
+    If two directions lead to the exit, one is drawn by its contribution, which needs one read of R and of glints.
+
+    Args:
+        strata, connection, where: the material, the exit, the wavelengths.
+        light, depth: the light, and its depth in the stratum.
+        flake: the flake.
+        node, way: numbers in [0, 1), to choose a row in the table of R, and the direction.
+        active: mask.
+    """
+    to, worth = connection.upward(light.stratum, depth)
+    h, density = flake.half(strata, to)
+    if connection.has_down:
+        to, other_worth = connection.downward(light.stratum, depth)
+        other_h, other_density = flake.half(strata, to)
+        up, down = density * dr.sum(worth), other_density * dr.sum(other_worth)
+        p = up / dr.maximum(up + down, TINY)
+        take = way < p
+        h = dr.select(take, h, other_h)
+        density = dr.select(take, density / p, other_density / (1 - p))
+        worth = dr.select(take, worth, other_worth)
+    reflect = strata.flake_response(flake.kind, dr.abs(dr.dot(flake.v, h)), node, where, active)[0]
+    fresh = light.fresh(active)
+    if fresh is not None and strata.glints is not None:
+        density *= strata.glints.factor_of(flake.slot, flake.axes, h, where.site, fresh)
+    return worth * reflect * (0.25 * density / flake.area)
+
+
+def select(mask: Any, new: tuple[Any, ...], old: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Select elementwise between two tuples."""
+    return tuple(dr.select(mask, a, b) for a, b in zip(new, old, strict=True))
+
+
+def scattered_by_other(turn: tuple[Any, ...], by: Any) -> tuple[Any, ...]:
+    """Return `Walker.turn` after scattering by anything but a single flake."""
+    return (dr.select(by, mi.UInt32(BY_MORE), turn[0]), *turn[1:]) if turn else ()
+
+
+def reflected_by(light: Walker, flake: Flake, m: Any, turns: Any) -> tuple[Any, ...]:
+    """Return `Walker.turn` after reflection by a flake with normal `m`."""
+    if not light.turn:
+        return ()
+    first = (mi.UInt32(BY_FLAKE), m.x, m.y, m.z, flake.slot)
+    return select(light.fresh(turns), first, scattered_by_other(light.turn, turns))
+
+
+def two_numbers(rng: Any, active: Any) -> tuple[Any, Any]:
+    """Return two uniform 16-bit numbers from one draw, for discrete choices."""
+    bits = rng.next_uint32(active)
+    scale = 1.0 / 65536.0
+    return (mi.Float(bits >> 16) + 0.5) * scale, (mi.Float(bits & 0xFFFF) + 0.5) * scale
+
+
+def one_of(values: tuple[Any, ...], weights: Any, left: Any) -> tuple[Any, ...]:
+    """Choose one wavelength with probability proportional to its weight; return all values there.
+
+    Args:
+        values: quantities at each wavelength.
+        weights: one per wavelength.
+        left: random number, uniform in [0, sum of weights).
+    """
+    left = left - weights[0]
+    found = tuple(value[0] for value in values)
+    for k in range(1, dr.size_v(mi.UnpolarizedSpectrum)):
+        found = select(left >= 0, tuple(value[k] for value in values), found)
+        left -= weights[k]
+    return found
+
+
+def survival_probability(before: Any, after: Any) -> Any:
+    """Return the survival probability from the summed throughput before and after an event.
+
+    This is the retained fraction; a rise above the initial throughput is reversed first.
+    """
+    return dr.minimum(after / dr.maximum(before, TINY) * dr.maximum(before / FULL, 1.0), 1.0)

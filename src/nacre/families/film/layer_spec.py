@@ -56,14 +56,6 @@ Pitch = Annotated[float, Field(ge=1.0, le=1e6)]
 class LayerSpec(RecipeModel):
     """One layer: material, thickness, coherence, and the helix of a twisted one."""
 
-    forms: ClassVar[tuple[str, ...]] = (
-        '{material = "SiO2", thickness_nm = 350}',
-        '{material = "SiO2", thickness_nm = {formula = "100 + 600*v"}}',
-        '{material = "glass", thickness_mm = 1, incoherent = true}',
-        "{material = {principal = [1.51, 1.55, 1.66], euler_deg = [30, 60, 0]}, thickness_nm = 900}",
-        "{material = {ordinary = 1.5, extraordinary = 1.7, axis_polar_deg = 90}, thickness_nm = 4200, pitch_nm = 350}",
-    )
-
     material: MediumSpec = Field(description="what the layer is made of")
     thickness_nm: Thickness = Field(
         description="geometric thickness; a texture or formula lets it vary over the surface",
@@ -151,10 +143,6 @@ class GradedSpec(RecipeModel):
 class GradedLayerSpec(RecipeModel):
     """A layer whose material changes with depth, solved as slices."""
 
-    forms: ClassVar[tuple[str, ...]] = (
-        '{graded = {from = "SiO2", to = "TiO2", profile = "linear"}, thickness_nm = 300}',
-    )
-
     graded: GradedSpec = Field(description="the two materials and the course between them")
     thickness_nm: Annotated[float, Field(ge=0.0, le=MAX_COHERENT_NM)] = Field(
         description="geometric thickness", examples=[300]
@@ -170,10 +158,6 @@ def _layer_form(value: Any) -> str:
 
 class RepeatSpec(RecipeModel):
     """A group of layers, repeated."""
-
-    forms: ClassVar[tuple[str, ...]] = (
-        '{repeat = 10, layers = [{material = "TiO2", thickness_nm = 55}, {material = "SiO2", thickness_nm = 90}]}',
-    )
 
     repeat: Annotated[int, Field(ge=0, le=MAX_LAYERS)] = Field(description="number of times", examples=[10])
     layers: tuple[AnyLayer, ...] = Field(

@@ -84,11 +84,6 @@ Width = Annotated[
 class SurfaceSpec(RecipeModel):
     """Roughness: a distribution and its width, as alpha or as exponents e = 2/alpha^2 - 2."""
 
-    forms: ClassVar[tuple[str, ...]] = (
-        "{roughness = 0.1}",
-        '{distribution = "beckmann", roughness = [0.05, 0.2], rotation_deg = 45}',
-    )
-
     distribution: Literal["ggx", "beckmann", "blinn", "ashikhmin-shirley"] = Field(
         default="ggx", description="distribution of the facet normals"
     )
@@ -281,13 +276,6 @@ class SupercellModel(SupercellFilm, FilmModel):
 
 class FilmSpec(RecipeModel):
     """Layers on a substrate, smooth, rough or in ridges; `preset = "morpho"` gives default values."""
-
-    example: ClassVar[Mapping[str, Any]] = {
-        "family": "film",
-        "substrate": "Si",
-        "layers": [{"material": "SiO2", "thickness_nm": 350}],
-        "surface": {"roughness": 0.05},
-    }
 
     varies: ClassVar[str] = "layers[].thickness_nm, surface.roughness, surface.rotation_deg"
     varies_by_nodes: ClassVar[tuple[str, ...]] = ("base.albedo",)

@@ -4,8 +4,6 @@ One index n_e represents the whole composite in three places: as the medium arou
 vector, and at the layer's faces (Fresnel, refraction).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol

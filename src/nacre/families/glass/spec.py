@@ -48,11 +48,6 @@ class ShellSpec(RecipeModel):
 class SpheresSpec(RecipeModel):
     """Disordered spheres."""
 
-    forms: ClassVar[tuple[str, ...]] = (
-        '{material = "PS", radius_nm = 125, volume_fraction = 0.55}',
-        '{material = "air", radius_nm = 90, volume_fraction = 0.45, shell = {material = "TiO2", thickness_nm = 20}}',
-    )
-
     material: IndexSpec = Field(description="material of a sphere's core")
     radius_nm: Annotated[float, Field(gt=0.0, le=MAX_RADIUS_NM)] = Field(
         description="mean radius of the core", examples=[125]
@@ -240,11 +235,6 @@ class StructureSpec(RecipeModel):
 class ModelSpec(RecipeModel):
     """Details of the model."""
 
-    forms: ClassVar[tuple[str, ...]] = (
-        '{structure = "percus-yevick", effective_index = "bruggeman"}',
-        '{structure = {sq = "s.csv"}}',
-    )
-
     structure: StructureSpec = Field(
         default=StructureSpec(name="percus-yevick"),
         description='order of the spheres: "percus-yevick", or a file with S(q)',
@@ -288,11 +278,6 @@ Thickness = Annotated[float, Field(gt=0.0, le=MAX_THICKNESS_NM)]
 
 class StratumSpec(RecipeModel):
     """One of several layers, with the keys of a single-layer recipe."""
-
-    forms: ClassVar[tuple[str, ...]] = (
-        '{thickness_um = 5, matrix = "air", spheres = {material = "PS", radius_nm = 110, volume_fraction = 0.55}, '
-        "absorber = {k = 0.002}}",
-    )
 
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = (OF_OTHER_FAMILY,)
 
@@ -353,15 +338,6 @@ class StratumSpec(RecipeModel):
 
 class GlassSpec(RecipeModel):
     """Disordered spheres in a matrix: a colour that hardly changes with the angle."""
-
-    example: ClassVar[Mapping[str, Any]] = {
-        "family": "glass",
-        "quality": "fast",
-        "thickness_um": 20,
-        "matrix": "air",
-        "spheres": {"material": "PS", "radius_nm": 120, "volume_fraction": 0.5},
-        "absorber": {"k": 0.002},
-    }
 
     varies_by_nodes: ClassVar[tuple[str, ...]] = (
         "thickness_nm",

@@ -1,7 +1,5 @@
 """Fabrication files and figures of a metasurface."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

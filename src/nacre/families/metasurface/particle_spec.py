@@ -1,7 +1,5 @@
 """Particle recipe: spheres, cylinders, spheroids, T-matrix files, or a mixture."""
 
-from __future__ import annotations
-
 import fnmatch
 import os
 from collections.abc import Mapping
@@ -59,15 +57,6 @@ class SpeciesSpec(RecipeModel):
     """One particle species: keys, validation, and construction."""
 
     table: ClassVar[str] = "particle"  # recipe table
-    forms: ClassVar[tuple[str, ...]] = (
-        '{material = "Ag", radius_nm = 90}',
-        '{material = "Au", radius_nm = 60, deviation_nm = 5, shell = {material = "SiO2", thickness_nm = 10}}',
-        '{shape = "cylinder", material = "Si", diameter_nm = 120, height_nm = 80}',
-        '{shape = "cylinder", material = "Ag", diameter_nm = 120, height_nm = 80, '
-        'shell = {material = "SiO2", thickness_nm = 5}}',
-        '{tmatrix = "disc.tmat.h5", gap_nm = 5}',
-        '{tmatrix = "bar.tmat.h5", orientation = "aligned", turn_deg = 30}',
-    )
     one_of: ClassVar[tuple[str, ...]] = ("material", "tmatrix")
 
     material: IndexSpec | None = pydantic.Field(

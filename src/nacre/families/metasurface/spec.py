@@ -59,13 +59,6 @@ class StructureSpec(RecipeModel):
 
     one_of: ClassVar[tuple[str, ...]] = ("name", "points", "sq")
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"enum": list(ARRANGEMENTS)},)
-    forms: ClassVar[tuple[str, ...]] = (
-        '"hard-disk"',
-        '{name = "lattice", lattice = "square", jitter = 0.2}',
-        '{points = "xy.csv"}',
-        '{points = "sem.png", width_um = 10}',
-        '{sq = "s.csv"}',
-    )
 
     name: Literal["hard-disk", "rsa", "poisson-disk", "lattice"] | None = pydantic.Field(
         default=None, description="type of order; a bare name needs no table", examples=["lattice"]
@@ -131,11 +124,6 @@ class StructureSpec(RecipeModel):
 
 class MonolayerSpec(RecipeModel):
     """Particle density and order."""
-
-    forms: ClassVar[tuple[str, ...]] = (
-        "{coverage = 0.1, packing = 0.3}",
-        '{density_per_um2 = 2, packing = 0.3, structure = "rsa"}',
-    )
 
     coverage: Positive | None = pydantic.Field(
         json_schema_extra={"exclusiveMaximum": 0.9},
@@ -246,14 +234,6 @@ class MetasurfaceModel(Metasurface, Fabricable, OwnFormats):
 
 class MetasurfaceSpec(RecipeModel):
     """A disordered particle layer on a stack."""
-
-    example: ClassVar[Mapping[str, Any]] = {
-        "family": "metasurface",
-        "substrate": "Si",
-        "layers": [{"material": "SiO2", "thickness_nm": 500}],
-        "particle": {"material": "Ag", "radius_nm": 90},
-        "monolayer": {"coverage": 0.1, "packing": 0.3},
-    }
 
     varies_by_nodes: ClassVar[tuple[str, ...]] = (
         "particle.radius_nm",

@@ -4,8 +4,6 @@ A size distribution and a mixture are the same for the optics: particles with nu
 arrangement. All take the highest multipole order that any needs.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 from dataclasses import dataclass, field, replace
@@ -16,21 +14,8 @@ import numpy as np
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.families.metasurface.monolayer.monolayer import Particle
+from nacre.families.metasurface.tmatrix import particle_on_stack
 from nacre.families.metasurface.tmatrix.axisymmetric import Body, TabulatedSphere, as_blocks, multipole_order, truncated
-from nacre.families.metasurface.tmatrix.particle_on_stack import (
-    AZIMUTHAL_ORDERS,
-    LOWER_CUT,
-    ORDER_TOLERANCE,
-    MultipoleConvergenceError,
-    ParticleOnStack,
-    choose_order,
-    order_change,
-    pattern_change,
-    probe_pattern,
-    probes,
-    rounded_up,
-    wavenumber_cutoff,
-)
 from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes, sphere_t_matrix
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.indices.constant import OpticalConstant
@@ -68,11 +53,18 @@ def place(body: Body, surface: Substrate, gap_nm: float, order: int | None = Non
     particle = Particle(1.0, body.height_nm / 2 + gap_nm, t)
     if surface.is_absent or particle.centre_nm >= body.circumscribing_nm * (1 - TOUCHES):
         return PlacedParticle(particle, _truncation(surface, particle), False)
-    near = replace(particle, cut=wavenumber_cutoff(particle.lmax, surface.wavenumber, body.circumscribing_nm))
-    less = replace(
-        particle, cut=wavenumber_cutoff(particle.lmax, surface.wavenumber, body.circumscribing_nm, LOWER_CUT)
+    near = replace(
+        particle, cut=particle_on_stack.wavenumber_cutoff(particle.lmax, surface.wavenumber, body.circumscribing_nm)
     )
-    return PlacedParticle(near, pattern_change(_pattern(surface, less), _pattern(surface, near)), True)
+    less = replace(
+        particle,
+        cut=particle_on_stack.wavenumber_cutoff(
+            particle.lmax, surface.wavenumber, body.circumscribing_nm, particle_on_stack.LOWER_CUT
+        ),
+    )
+    return PlacedParticle(
+        near, particle_on_stack.pattern_change(_pattern(surface, less), _pattern(surface, near)), True
+    )
 
 
 def smallest_converged_gap(
@@ -126,17 +118,19 @@ def _truncation(surface: Substrate, particle: Particle) -> float:
         _pattern(surface, replace(particle, t_matrix=truncated(particle.t_matrix, l)))
         for l in range(max(1, top - 2), top + 1)
     ]
-    last = pattern_change(patterns[-2], patterns[-1])
+    last = particle_on_stack.pattern_change(patterns[-2], patterns[-1])
     if len(patterns) < 3:
         return last
-    before = pattern_change(patterns[-3], patterns[-2])
+    before = particle_on_stack.pattern_change(patterns[-3], patterns[-2])
     return last * min(1.0, last / before) if before > 0 else last
 
 
 def _pattern(surface: Substrate, particle: Particle) -> Array:
-    mmax = min(AZIMUTHAL_ORDERS, particle.lmax)
-    alone = ParticleOnStack(surface, particle.centre_nm, particle.t_matrix, mmax, particle.cut)
-    return probe_pattern(alone.dressed, *probes(surface, particle.centre_nm, particle.lmax, mmax))
+    mmax = min(particle_on_stack.AZIMUTHAL_ORDERS, particle.lmax)
+    alone = particle_on_stack.ParticleOnStack(surface, particle.centre_nm, particle.t_matrix, mmax, particle.cut)
+    return particle_on_stack.probe_pattern(
+        alone.dressed, *particle_on_stack.probes(surface, particle.centre_nm, particle.lmax, mmax)
+    )
 
 
 logger = logging.getLogger("nacre")
@@ -302,7 +296,9 @@ class MultipoleConvergence:
         """Notes for a Bsdf."""
         found: dict[str, Any] = {}
         if self.order is None:
-            found["multipole_tolerance"] = max([self.tolerance or ORDER_TOLERANCE, *self.unconverged.values()])
+            found["multipole_tolerance"] = max(
+                [self.tolerance or particle_on_stack.ORDER_TOLERANCE, *self.unconverged.values()]
+            )
         if self.missing:
             found["multipoles"] = [{"held": h, "taken": t, "change": c} for h, t, c in self.missing.values()]
         return found
@@ -355,7 +351,9 @@ class MultipoleConvergence:
                 raise convergence_error(sphere, surface, species.gap_nm, placed, tolerance, None, species.key)
         elif required > available:
             centre = species.outer_radius_nm + species.gap_nm
-            change = order_change(surface, centre, lambda l: sphere.coefficients(l, surface), available, 2 * required)
+            change = particle_on_stack.order_change(
+                surface, centre, lambda l: sphere.coefficients(l, surface), available, 2 * required
+            )
             if change > tolerance:
                 raise UnsupportedError(
                     f"{sphere.source}: holds multipoles up to l = {available}, and at {surface.wavelength_nm:g} nm "
@@ -384,12 +382,12 @@ class MultipoleConvergence:
 
     def _chosen_order(self, species: Species, surface: Substrate) -> int:
         centre = species.outer_radius_nm + species.gap_nm
-        tolerance = ORDER_TOLERANCE if self.tolerance is None else self.tolerance
+        tolerance = particle_on_stack.ORDER_TOLERANCE if self.tolerance is None else self.tolerance
         try:
-            return choose_order(
+            return particle_on_stack.choose_order(
                 surface, centre, lambda lmax: species.t_matrix(lmax, surface, species.mean_radius_nm), tolerance
             )
-        except MultipoleConvergenceError as refusal:
+        except particle_on_stack.MultipoleConvergenceError as refusal:
             if self.tolerance is None and refusal.change < DEFAULT_MAX_TOLERANCE:
                 self.unconverged[surface.wavelength_nm] = refusal.change
                 return refusal.order
@@ -402,8 +400,8 @@ class MultipoleConvergence:
             if species.depth_nm is not None:
                 where, mend = f"depth_nm = {species.depth_nm:g}", "leave some nm between it and the faces of its layer"
             if refusal.change < MAX_TOLERANCE:
-                accept = f", or accept model.tolerance = {rounded_up(refusal.change):g}"
-            raise MultipoleConvergenceError(
+                accept = f", or accept model.tolerance = {particle_on_stack.rounded_up(refusal.change):g}"
+            raise particle_on_stack.MultipoleConvergenceError(
                 f"{self.source}: {species.key}.{where}: at {surface.wavelength_nm:g} nm {refusal}; {mend}{accept}",
                 refusal.change,
                 refusal.order,
@@ -414,8 +412,8 @@ class MultipoleConvergence:
         if self.memory is not None:
             return f"a gap_nm of {USUAL_GAP_NM:g}"
         for gap in (g for g in GAPS_NM if g > species.gap_nm):
-            with contextlib.suppress(MultipoleConvergenceError):
-                choose_order(
+            with contextlib.suppress(particle_on_stack.MultipoleConvergenceError):
+                particle_on_stack.choose_order(
                     surface,
                     species.outer_radius_nm + gap,
                     lambda lmax: species.t_matrix(lmax, surface, species.mean_radius_nm),
@@ -430,9 +428,9 @@ def widened(t_matrix: ComplexArray, lmax: int) -> ComplexArray:
     top = multipole_order(t_matrix)
     if lmax == top:
         return t_matrix
-    blocks = as_blocks(t_matrix, AZIMUTHAL_ORDERS)
+    blocks = as_blocks(t_matrix, particle_on_stack.AZIMUTHAL_ORDERS)
     places = np.concatenate([np.arange(top), lmax + np.arange(top)])
-    out = np.zeros((min(AZIMUTHAL_ORDERS, lmax) + 1, 2 * lmax, 2 * lmax), dtype=complex)
+    out = np.zeros((min(particle_on_stack.AZIMUTHAL_ORDERS, lmax) + 1, 2 * lmax, 2 * lmax), dtype=complex)
     out[: len(blocks), places[:, None], places] = blocks[: len(out)]
     return out
 

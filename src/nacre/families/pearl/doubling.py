@@ -11,8 +11,6 @@ Cosine terms do not mix. Directions are `NODES` quadrature nodes, and the reques
 light reflected by the base is diffuse.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

@@ -28,8 +28,7 @@ from nacre.families.pearl.flake_normals import (
     optical_number,
     visible_weights,
 )
-from nacre.families.pearl.flake_texture import FlakeTexture
-from nacre.families.pearl.glints import Glints, glint_arrays
+from nacre.families.pearl.flake_texture import FlakeTexture, Glints, glint_arrays
 from nacre.families.pearl.platelet import PUBLISHED, PlateletResponse, platelet_response
 from nacre.families.pearl.random_walk import energy_defect
 from nacre.families.pearl.strata import DyeResponse, Flakes, Stratum, dye_response

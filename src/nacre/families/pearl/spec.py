@@ -13,7 +13,7 @@ from pydantic import Field
 from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, SubstrateSpec, Widths, interface_roughness, nested_strata
 from nacre.core.errors import NacreError, RecipeError
 from nacre.families.pearl.flake_normals import FlakeNormals, rotation_matrix
-from nacre.families.pearl.glints import Glints
+from nacre.families.pearl.flake_texture import Glints
 from nacre.families.pearl.material import MIN_DEVIATION, Pearl
 from nacre.families.pearl.platelet import Coating, Platelet
 from nacre.families.pearl.strata import Dye, Flakes, Stratum
@@ -112,24 +112,11 @@ def _shares(column: NDArray[np.float64]) -> NDArray[np.float64]:
 class LayerSpec(ThicknessKeys):
     """A layer of a flake."""
 
-    forms: ClassVar[tuple[str, ...]] = (
-        '{material = "TiO2", thickness_nm = 120}',
-        '{material = "mica", thickness_nm = 400, deviation_nm = 80}',
-        '{material = "TiO2", thickness_nm = 120, deviation_nm = 20, distribution = "truncated", max_nm = 160}',
-        '{material = "mica", histogram = "thickness.csv"}',
-    )
-
     material: IndexSpec = Field(description="what the layer is made of")
 
 
 class PlateletSpec(RecipeModel):
     """One pigment. A free platelet has a single layer: `substrate` without `coatings`, or one coating alone."""
-
-    forms: ClassVar[tuple[str, ...]] = (
-        '{volume_fraction = 0.01, substrate = {material = "mica", thickness_nm = 400, deviation_nm = 80}, '
-        'coatings = [{material = "TiO2", thickness_nm = 120}]}',
-        '{volume_fraction = 0.005, coatings = [{material = "Al", thickness_nm = 60}], normal_deviation = [0.05, 0.2]}',
-    )
 
     volume_fraction: float = Field(
         json_schema_extra={"exclusiveMinimum": 0, "maximum": MAX_FRACTION},
@@ -207,10 +194,6 @@ class DyeSpec(RecipeModel):
     """Dye: `material`, or `file` with n and k; with `radius_nm` it consists of scattering particles."""
 
     one_of: ClassVar[tuple[str, ...]] = ("material", "file")
-    forms: ClassVar[tuple[str, ...]] = (
-        "{material = {n = 1.5, k = 0.02}, volume_fraction = 0.01}",
-        '{material = "TiO2", volume_fraction = 0.001, radius_nm = 100, deviation_nm = 10}',
-    )
 
     material: IndexSpec | None = Field(default=None, description="optical constant of the dye")
     file: str | None = Field(
@@ -249,11 +232,6 @@ class DyeSpec(RecipeModel):
 
 class StratumSpec(RecipeModel):
     """A layer of resin; `roughness` belongs to its upper interface."""
-
-    forms: ClassVar[tuple[str, ...]] = (
-        "{resin = {n = 1.5}, thickness_um = 50, platelets = [{volume_fraction = 0.01, "
-        'substrate = {material = "mica", thickness_nm = 400}, coatings = [{material = "TiO2", thickness_nm = 120}]}]}',
-    )
 
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = (OF_OTHER_FAMILY,)
 
@@ -339,24 +317,6 @@ class GlintsSpec(RecipeModel):
 
 class PearlSpec(RecipeModel):
     """Strata of resin with flakes (pigments) and dye, over a base."""
-
-    example: ClassVar[Mapping[str, Any]] = {
-        "family": "pearl",
-        "strata": [
-            {
-                "resin": {"n": 1.5},
-                "thickness_um": 50,
-                "platelets": [
-                    {
-                        "volume_fraction": 0.01,
-                        "substrate": {"material": "mica", "thickness_nm": 400, "deviation_nm": 80},
-                        "coatings": [{"material": "TiO2", "thickness_nm": 120}],
-                    }
-                ],
-            }
-        ],
-        "base": {"albedo": 0.05},
-    }
 
     varies_by_nodes: ClassVar[tuple[str, ...]] = (
         "strata[].thickness_nm",

@@ -11,8 +11,6 @@ scattering is exact: `PearlSurrogate.estimate` measures the error, and `doubling
 hundred times the cost.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache

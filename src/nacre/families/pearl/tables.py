@@ -9,8 +9,6 @@ The stated error comes from independent walks at three incidences, in bins indep
 product between two independent differences has a noise-free mean.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -24,19 +22,8 @@ from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.lobes.platelet_layer import PlateletLayer, surface_values
 from nacre.core.arrays import Array, cell, interpolate, take_uniform
 from nacre.core.parallel import in_threads
-from nacre.families.pearl.glints import interface_bend
-from nacre.families.pearl.random_walk import (
-    ANY_ANGLE,
-    CHUNKS,
-    FROM_BASE,
-    NO_VIEWERS,
-    Medium,
-    Tally,
-    hat_products,
-    no_tally,
-    tally_single_scattering,
-    walk,
-)
+from nacre.families.pearl import random_walk
+from nacre.families.pearl.flake_texture import interface_bend
 
 SHAPE = (32, 20, 6)  # nodes of q, c, phi
 ENTRY_NODES = 129
@@ -91,15 +78,15 @@ def power_difference(
         effort: factor on the walks.
         seed: of the walks.
     """
-    spread = _spread(Medium.of(lobe))
+    spread = _spread(random_walk.Medium.of(lobe))
     parts = _independent_walks(lobe, theta_rad, (POWER_WALKS, POWER_WALKS), effort, seed).sum(axis=2)
     ours = np.stack([_bins(table, float(theta), spread)[0].sum(axis=0) for theta in theta_rad])
-    return parts.mean(axis=1) - ours, parts.std(axis=1, ddof=1) / np.sqrt(CHUNKS)
+    return parts.mean(axis=1) - ours, parts.std(axis=1, ddof=1) / np.sqrt(random_walk.CHUNKS)
 
 
 def tables(lobe: Layered, effort: float = 1.0, seed: int = 1) -> PlateletLayer:
     """Make the tables without a check; their error is 0."""
-    medium = Medium.of(lobe)
+    medium = random_walk.Medium.of(lobe)
     entry, surface = _interface(medium)
     spread = _spread(medium)
     arrived, returned, flakes, single = _solve(medium, entry, spread, effort, seed)
@@ -134,13 +121,13 @@ def _entering(table: PlateletLayer, cos: Array) -> Array:
     return np.interp(np.sqrt(cos), np.linspace(0.0, 1.0, len(table.entry)), table.entry)
 
 
-def _spread(medium: Medium) -> float:
+def _spread(medium: random_walk.Medium) -> float:
     if not len(medium.number):
         return 1.0
     return float(2.0 * medium.n * np.hypot(medium.sigma.min(), interface_bend(medium.alpha, medium.n)))
 
 
-def _interface(medium: Medium) -> tuple[Array, Array]:
+def _interface(medium: random_walk.Medium) -> tuple[Array, Array]:
     """Return the interface transmittance and reflectance on uniform sqrt(cos) nodes."""
     cos = np.maximum(np.linspace(0.0, 1.0, ENTRY_NODES) ** 2, 1e-7)
     if medium.alpha == 0:
@@ -159,27 +146,42 @@ def _interface(medium: Medium) -> tuple[Array, Array]:
     return entry, surface
 
 
-def _solve(medium: Medium, entry: Array, spread: float, effort: float, seed: int) -> tuple[Array, Array, Array, Array]:
+def _solve(
+    medium: random_walk.Medium, entry: Array, spread: float, effort: float, seed: int
+) -> tuple[Array, Array, Array, Array]:
     """Run the walks and fit: A/t `[cos, wavelength]`, r `[wavelength]`, M, and its single-scattering part."""
     bands = medium.reflect.shape[2]
     shape = np.array(SHAPE)
     cells = int(np.prod(SHAPE))
     has_platelets = bool(len(medium.number))
     shift = np.random.default_rng(seed).random(7)
-    walks, base_walks = (max(1, int(effort * n / CHUNKS)) for n in (WALKS, BASE_WALKS))
-    singles, products = (max(1, int(effort * n / CHUNKS)) for n in (SINGLES, PRODUCTS))
+    walks, base_walks = (max(1, int(effort * n / random_walk.CHUNKS)) for n in (WALKS, BASE_WALKS))
+    singles, products = (max(1, int(effort * n / random_walk.CHUNKS)) for n in (SINGLES, PRODUCTS))
     unseen = np.zeros((0, bands))
 
     def chunk(i: int) -> tuple[Any, ...]:
-        tally = Tally(spread, shape, np.zeros((cells, bands)), np.zeros((BASE_NODES, bands)))
-        back = no_tally(bands)
+        tally = random_walk.Tally(spread, shape, np.zeros((cells, bands)), np.zeros((BASE_NODES, bands)))
+        back = random_walk.no_tally(bands)
         one, hats = np.zeros((cells, bands)), np.zeros((cells, 27))
-        number = walk(seed * 1000 + i, walks, ANY_ANGLE, medium, NO_ALBEDO, tally, NO_VIEWERS, unseen)
-        walk(seed * 1000 + 500 + i, base_walks, FROM_BASE, medium, NO_ALBEDO, back, NO_VIEWERS, unseen)
+        number = random_walk.walk(
+            seed * 1000 + i, walks, random_walk.ANY_ANGLE, medium, NO_ALBEDO, tally, random_walk.NO_VIEWERS, unseen
+        )
+        random_walk.walk(
+            seed * 1000 + 500 + i,
+            base_walks,
+            random_walk.FROM_BASE,
+            medium,
+            NO_ALBEDO,
+            back,
+            random_walk.NO_VIEWERS,
+            unseen,
+        )
         if has_platelets:
             if medium.alpha > 0:
-                tally_single_scattering(i * singles, singles, shift, ANY_ANGLE, medium, spread, shape, one)
-            hat_products(i * products, products, shift, medium, spread, entry, shape, hats)
+                random_walk.tally_single_scattering(
+                    i * singles, singles, shift, random_walk.ANY_ANGLE, medium, spread, shape, one
+                )
+            random_walk.hat_products(i * products, products, shift, medium, spread, entry, shape, hats)
         return (
             tally.table / walks,
             tally.base / walks,
@@ -189,12 +191,12 @@ def _solve(medium: Medium, entry: Array, spread: float, effort: float, seed: int
             number,
         )
 
-    parts = in_threads(chunk, range(CHUNKS))
-    many, base, back, one, hats, number = (sum(part[i] for part in parts) / CHUNKS for i in range(6))
+    parts = in_threads(chunk, range(random_walk.CHUNKS))
+    many, base, back, one, hats, number = (sum(part[i] for part in parts) / random_walk.CHUNKS for i in range(6))
     arrived = _fit_base(base, entry)
     table, single = np.zeros((2, *SHAPE, bands))
     if has_platelets:
-        stiffness = float(hats.sum()) / (CHUNKS * TABLE_ROUGHNESS**2)
+        stiffness = float(hats.sum()) / (random_walk.CHUNKS * TABLE_ROUGHNESS**2)
         table = _fit(hats, many, stiffness / max(number, 1.0))
         if medium.alpha == 0:
             single = _single(medium, spread)
@@ -210,7 +212,7 @@ def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 
         `(error, noise)`, each `[wavelength]`: relative L2 difference in f cos over all exits at three incidences,
         averaged over bins, without the walks' noise; and that noise.
     """
-    spread, count, theta_rad = _spread(Medium.of(lobe)), len(lobe.wavelengths_nm), np.radians(CHECK_DEG)
+    spread, count, theta_rad = _spread(random_walk.Medium.of(lobe)), len(lobe.wavelengths_nm), np.radians(CHECK_DEG)
     found = _independent_walks(lobe, theta_rad, (CHECK_WALKS, CHECK_SINGLES), effort, seed)
     error, noise, size = np.zeros(count), np.zeros(count), np.zeros(count)
     for theta, reference in zip(theta_rad, found, strict=True):
@@ -220,8 +222,8 @@ def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 
         total = difference.sum(axis=0)
         squares = np.sum(difference**2, axis=0)
         # mean product between differences from two chunks
-        error += np.sum(weight * (total**2 - squares), axis=0) / (CHUNKS * (CHUNKS - 1))
-        noise += np.sum(weight * reference.var(axis=0, ddof=1), axis=0) / CHUNKS
+        error += np.sum(weight * (total**2 - squares), axis=0) / (random_walk.CHUNKS * (random_walk.CHUNKS - 1))
+        noise += np.sum(weight * reference.var(axis=0, ddof=1), axis=0) / random_walk.CHUNKS
         size += np.sum(weight * (ours + surface[:, None]) ** 2, axis=0)
     size = np.maximum(size, 1e-30)
     return np.sqrt(np.maximum(error, 0.0) / size), np.sqrt(noise / size)
@@ -234,25 +236,34 @@ def _independent_walks(lobe: Layered, theta_rad: Array, numbers: tuple[int, int]
         numbers: walks, and samples of single scattering, in all chunks of an incidence.
         effort: factor on both numbers.
     """
-    medium = Medium.of(lobe)
+    medium = random_walk.Medium.of(lobe)
     spread, count = _spread(medium), len(lobe.wavelengths_nm)
-    shifts = np.random.default_rng(seed).random((len(theta_rad), CHUNKS, 7))
+    shifts = np.random.default_rng(seed).random((len(theta_rad), random_walk.CHUNKS, 7))
     albedo = np.ascontiguousarray(lobe.base_reflectance[0])
-    walks, singles = (max(1, int(n * effort / CHUNKS)) for n in numbers)
+    walks, singles = (max(1, int(n * effort / random_walk.CHUNKS)) for n in numbers)
 
     def chunk(job: tuple[int, int]) -> Array:
         turn, i = job
         theta = float(theta_rad[turn])
         light = np.array([np.sin(theta), 0.0, np.cos(theta)])
         many, one = np.zeros((2, int(np.prod(CHECK_BINS)), count))
-        tally = Tally(spread, CHECK_BINS, many, np.zeros((1, count)))
-        walk(seed * 1000 + 8 * turn + i, walks, light, medium, albedo, tally, NO_VIEWERS, np.zeros((0, count)))
+        tally = random_walk.Tally(spread, CHECK_BINS, many, np.zeros((1, count)))
+        random_walk.walk(
+            seed * 1000 + 8 * turn + i,
+            walks,
+            light,
+            medium,
+            albedo,
+            tally,
+            random_walk.NO_VIEWERS,
+            np.zeros((0, count)),
+        )
         if len(medium.number):
-            tally_single_scattering(0, singles, shifts[turn, i], light, medium, spread, CHECK_BINS, one)
+            random_walk.tally_single_scattering(0, singles, shifts[turn, i], light, medium, spread, CHECK_BINS, one)
         return np.asarray(many / walks + one / singles)
 
-    jobs = [(turn, i) for turn in range(len(theta_rad)) for i in range(CHUNKS)]
-    return np.array(in_threads(chunk, jobs)).reshape(len(theta_rad), CHUNKS, -1, count)
+    jobs = [(turn, i) for turn in range(len(theta_rad)) for i in range(random_walk.CHUNKS)]
+    return np.array(in_threads(chunk, jobs)).reshape(len(theta_rad), random_walk.CHUNKS, -1, count)
 
 
 def _bins(table: PlateletLayer, theta: float, spread: float) -> tuple[Array, Array, Array]:
@@ -281,7 +292,7 @@ def _bins(table: PlateletLayer, theta: float, spread: float) -> tuple[Array, Arr
     return gather @ value, gather @ surface, gather @ (1.0 / cos[keep])
 
 
-def _single(medium: Medium, spread: float) -> Array:
+def _single(medium: random_walk.Medium, spread: float) -> Array:
     """Return single scattering under a smooth interface, over K, in closed form at the nodes."""
     u, v, w = np.meshgrid(*(np.linspace(0.0, 1.0, n) for n in SHAPE), indexing="ij")
     q = spread * np.sinh(u * np.arcsinh(2.0 / spread))

@@ -1,7 +1,5 @@
 """Shaders of a colour table: OSL with the renderer's closures, and a MaterialX graph."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path

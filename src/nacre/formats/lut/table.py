@@ -12,8 +12,6 @@ Colours are linear sRGB for one lamp, unclipped; full reflection is white. There
 Rows of facet and view images follow the parameter that varies over the surface, if there is one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Write a colour table as a package for three.js: materials for both of its renderers, types, and an example page."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json

@@ -1,7 +1,5 @@
 """Write a folder of colour tables: images, shaders, a Blender script, a MaterialX graph and an index page."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import dataclasses
@@ -24,9 +22,9 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.files import named, plain, remove_leftovers, reraise_as_oserror, temporary_prefix
 from nacre.core.html import render_page
-from nacre.formats.height_fields import RGB, write_png_stream
 from nacre.formats.lut.shaders import shader_text, write_graph
 from nacre.formats.lut.table import LightTable, Picture
+from nacre.formats.number_maps import RGB, write_png_stream
 from nacre.light import clip_to_srgb, srgb_decode, srgb_encode
 
 MANIFEST = "table.json"

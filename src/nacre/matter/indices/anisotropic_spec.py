@@ -24,10 +24,6 @@ class AnisotropicSpec(RecipeModel):
 
     noun: ClassVar[str] = "anisotropic medium"
     one_of: ClassVar[tuple[str, ...]] = ("principal", "ordinary")
-    forms: ClassVar[tuple[str, ...]] = (
-        "{principal = [1.51, 1.55, 1.66], euler_deg = [30, 60, 0]}",
-        "{ordinary = 1.53, extraordinary = 1.71, axis_polar_deg = 90, axis_azimuth_deg = 20}",
-    )
 
     principal: tuple[IndexSpec, ...] | None = Field(
         default=None,

@@ -4,8 +4,6 @@ Only the package's folder of YAML files is used; the package is not imported, be
 depends on the folder's layout. The database is in the public domain (CC0 1.0).
 """
 
-from __future__ import annotations
-
 import functools
 import importlib.util
 import re

@@ -4,8 +4,6 @@ Each term obeys the Kramers-Kronig relations. `SumOfTerms` adds terms to a const
 absorption edge to a formula of n.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Look up, search and describe optical constants."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

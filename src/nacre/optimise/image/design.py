@@ -26,7 +26,7 @@ from nacre.optimise.gamut import colour_chart
 from nacre.optimise.html_report import PICTURE, REPORT
 from nacre.optimise.image.colour_grid import ColourGrid, ColourSampler, fine_grid, level_grid
 from nacre.optimise.image.files import ParameterMap, write_maps
-from nacre.optimise.image.matching import blurred, dither, has_same_hue, map_into_solid, match_colours
+from nacre.optimise.image.matching import blurred, dither, has_same_hue, map_into_solid, match_colours, nearest_colours
 from nacre.optimise.image.pixels import screen_rgb, srgb_lab, write_pixels
 from nacre.optimise.solutions import Design, DesignProgress, Solution, claim, clear_solutions, conclude, write_recipe
 from nacre.optimise.task import DesignTask
@@ -94,6 +94,12 @@ def make_picture(
         found = match_colours(asked, np.asarray(xyz_to_lab(grid.xyz, white)), target.tolerance)
         points, distance = found.points[inverse], found.distance[inverse]
         is_mapped, keeps_hue = found.is_mapped[inverse], found.keeps_hue[inverse]
+    elif not task.spec.limits.dither:
+        grid = level_grid(sampler, levels)
+        lab = np.asarray(xyz_to_lab(grid.flat_xyz, white))
+        nearest, off = nearest_colours(asked, lab)
+        points, distance, is_mapped = nearest[inverse], off[inverse], (off > target.tolerance)[inverse]
+        keeps_hue = has_same_hue(asked, lab[nearest])[inverse]
     else:
         grid = level_grid(sampler, levels)
         mapped, moved = map_into_solid(asked, grid.flat_xyz, white, target.tolerance)
@@ -189,7 +195,7 @@ def _figures(task: DesignTask, picture: PictureDesign) -> dict[str, Any]:
         "share_out_of_reach": count / mapped.size,
         "share_hue_kept": float(picture.keeps_hue[mapped].mean()) if count else 1.0,
         "levels": levels,
-        "seen_from_afar": levels is not None,
+        "seen_from_afar": levels is not None and task.spec.limits.dither,
         "nodes": picture.grid.nodes,
         "de00_of_spline": picture.grid.error,
         "maps": [

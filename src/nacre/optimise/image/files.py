@@ -18,8 +18,7 @@ from nacre.core.errors import RecipeError
 from nacre.core.files import atomic_path, plain, why_unreadable
 from nacre.core.memory import check_memory
 from nacre.formats.calibration import LARGEST_GREY
-from nacre.formats.height_fields import write_png16, write_tiff16
-from nacre.formats.number_maps import DEFAULT_PIXEL_UM
+from nacre.formats.number_maps import DEFAULT_PIXEL_UM, write_png16, write_tiff16
 
 if TYPE_CHECKING:
     from PIL.Image import Image

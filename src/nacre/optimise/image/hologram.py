@@ -22,7 +22,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.core.files import atomic_path, real
 from nacre.families.contract import Diffracting, Pixels
-from nacre.formats.pixel_fields import write_pixel_field
+from nacre.formats.layouts import write_pixel_field
 from nacre.light import delta_e_2000, lab_to_xyz, smooth_weights, white_xyz, xyz_to_lab
 from nacre.material.material import Material, load
 from nacre.optimise.evaluation import TargetResult

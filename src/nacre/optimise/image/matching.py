@@ -23,6 +23,7 @@ from nacre.optimise.thin_film.merit_kernel import components
 
 NEIGHBOURS = 12  # nearest colours in the uniform space, from which the descent starts
 CELL = 0.5  # cell side in the uniform space; colours in one cell share their starts
+CANDIDATES, BATCH = 256, 4096  # levels compared with each colour, and colours at once
 STRIDES = (8, 4, 2, 1)  # descent strides over the grid
 HUE_STEP = 1.0  # largest dE00 hue term between colours with equal hue
 WEDGES = 180  # hue wedges with common starts
@@ -88,6 +89,24 @@ def match_colours(targets: Array, grid: Array, tolerance: float, keep_hue: bool 
         good = off <= nearest[chosen] + HUE_COST
         points[chosen[good]], distance[chosen[good]] = found[good], off[good]
     return Match(points, distance, nearest, is_mapped, has_same_hue(targets, reachable[points]))
+
+
+def nearest_colours(targets: Array, levels: Array) -> tuple[Indices, Array]:
+    """Return for each target `[colour, 3]` the index of the nearest level `[level, 3]`, both CIELAB, and the dE00.
+
+    CIEDE2000 is computed to the `CANDIDATES` levels that are nearest in the uniform space: all of a small palette.
+    """
+    from scipy.spatial import cKDTree
+
+    even = uniform_space(levels)
+    near = _nearest(cKDTree(even), np.arange(len(levels)), uniform_space(targets), CANDIDATES)
+    best, distance = np.empty(len(targets), dtype=np.int64), np.empty(len(targets))
+    for first in range(0, len(targets), BATCH):
+        part = slice(first, first + BATCH)
+        off = np.asarray(delta_e_2000(targets[part, None], levels[near[part]]))
+        at = off.argmin(axis=1)[:, None]
+        best[part], distance[part] = (np.take_along_axis(each, at, axis=1)[:, 0] for each in (near[part], off))
+    return best, distance
 
 
 def _one_per_cell(even: Array) -> tuple[Indices, Indices]:

@@ -12,7 +12,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.core.files import write_text
 from nacre.families.contract import Pixels
-from nacre.formats.pixel_fields import write_pixel_field
+from nacre.formats.layouts import write_pixel_field
 from nacre.light import (
     SRGB_WHITE_XYZ,
     clip_to_srgb,

@@ -32,6 +32,8 @@ def check_hologram(spec: DesignSpec, targets: Sequence[Target], source: str) -> 
     for name in ("layers", "tolerance"):
         if getattr(spec, name):
             raise RecipeError(f"{source}: {name} does not apply to a hologram; remove it")
+    if spec.limits.height_levels is not None or not spec.limits.dither:
+        raise RecipeError(f"{source}: limits.height_levels and limits.dither do not apply to a hologram; remove them")
     if len(targets) > MAX_CHANNELS:
         raise RecipeError(f"{source}: a hologram of {len(targets)} pictures is not made; allowed: one or two")
     first = targets[0].image
@@ -52,6 +54,8 @@ def check_picture_target(spec: DesignSpec, base: Material, parameters: Sequence[
     for name, value in (("max_total_nm", spec.limits.max_total_nm), ("max_layers", spec.limits.max_layers)):
         if value is not None:
             raise RecipeError(f"{source}: limits.{name} does not apply to a picture; use the bounds of the parameters")
+    if not spec.limits.dither and spec.limits.height_levels is None:
+        raise RecipeError(f"{source}: limits.dither = false: only with limits.height_levels; add it")
     if len(parameters) > MAX_PARAMETERS:
         paths = ", ".join(parameter.path for parameter in parameters)
         raise RecipeError(f"{source}: parameters: {len(parameters)} numbers ({paths}); a picture takes one or two")

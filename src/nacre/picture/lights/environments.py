@@ -6,8 +6,6 @@ distinguished as in the real place. Light bounces once, plus a grey share for fu
 wood and leaf reflectances are smooth curves with edges at 570, 550 and 690 nm; daylight is sun, haze and blue sky.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 
@@ -16,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array
 from nacre.light import Illuminant, illuminant, observer, table_wavelengths_nm
-from nacre.picture.filters import noise
+from nacre.picture.samples import noise
 
 BEAM_DEG, BEAM_EDGE_DEG = 10.0, 0.7  # width of the lamp of `beam`, and of its soft edge
 ROWS = 512

@@ -17,17 +17,8 @@ from numpy.typing import NDArray
 from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.light import illuminant as light_illuminant
+from nacre.picture.lights import environments
 from nacre.picture.lights.emitter_plugins import Lamp, make_environment, spectrum_texture, sum_of_environments
-from nacre.picture.lights.environments import (
-    BEAM_DEG,
-    Environment,
-    beam,
-    garden,
-    interior,
-    street,
-    studio,
-    unit_spectrum,
-)
 from nacre.picture.paths import SOFT_LAMP_DEG, WITHIN_LAMP_DEG
 from nacre.picture.plugin import mi
 
@@ -194,18 +185,18 @@ def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, streng
 
 def _surrounding(name: str, white: str, turn_deg: float) -> Light:
     """Build one of our environments, with the variants that have a wider lamp."""
-    wide: Environment | None = None
-    within: Environment | None = None
+    wide: environments.Environment | None = None
+    within: environments.Environment | None = None
     note = ""
     if name == "studio":
-        place, note = studio(white), f"studio soft boxes, {white}"
+        place, note = environments.studio(white), f"studio soft boxes, {white}"
     elif name == "directional":
-        place, within = beam(white), beam(white, width_deg=WITHIN_LAMP_DEG)
-        note = f"beam of {BEAM_DEG:g} degrees, {white}"
+        place, within = environments.beam(white), environments.beam(white, width_deg=WITHIN_LAMP_DEG)
+        note = f"beam of {environments.BEAM_DEG:g} degrees, {white}"
     elif name == "interior":
-        place = interior()
+        place = environments.interior()
     else:
-        build = garden if name == "garden" else street
+        build = environments.garden if name == "garden" else environments.street
         place, wide = build(), build(sun_deg=SOFT_LAMP_DEG)
     made = [None if each is None else make_environment(each, 1.0, turn_deg) for each in (place, wide, within)]
     turning = tuple((each, 0.0) for each in made if each is not None)
@@ -218,7 +209,7 @@ def _turn(turn_deg: float) -> Any:
 
 
 def _emission(white: str, level: float) -> Any:
-    spectrum = unit_spectrum(white)
+    spectrum = environments.unit_spectrum(white)
     return spectrum_texture(spectrum.wavelengths_nm, level * spectrum.power)
 
 

@@ -1,15 +1,17 @@
 """The scenes: objects, grounds, camera and default light.
 
-Scenes are data; `nacre.picture.built_scene` builds them in Mitsuba. Surfaces other than the subject have flat or
-measured spectra, never up-sampled RGB, therefore all colour comes from the material and the light.
+Scenes are data in `scenes.toml`; `nacre.picture.built_scene` builds them in Mitsuba. Surfaces other than the subject
+have flat or measured spectra, never up-sampled RGB, therefore all colour comes from the material and the light.
 """
 
 from __future__ import annotations
 
 import functools
 import importlib
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import Any, Literal
 
 import numpy as np
@@ -18,10 +20,10 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.light import table_wavelengths_nm
 from nacre.picture.camera import View
-from nacre.picture.filters import noise
 from nacre.picture.lights.emitter_plugins import spectrum_texture
 from nacre.picture.lights.environments import WOOD, edge, peak
 from nacre.picture.plugin import mi
+from nacre.picture.samples import noise
 from nacre.picture.shapes import backdrop
 from nacre.picture.shapes.mesh import Mesh, rotation
 
@@ -254,78 +256,36 @@ class Scene:
     keeps_whole: bool = False
 
 
+_DATA = tomllib.loads(files(__package__).joinpath("scenes.toml").read_text("utf-8"))
 # simple models for all surfaces except the subject; printed ones by their mean reflectance
-MATERIALS: dict[str, dict[str, Any]] = {
-    "ground": {"type": "diffuse", "reflectance": 0.16},
-    "plain": {"type": "diffuse", "reflectance": 0.16},
-    "dark": {"type": "plastic", "int_ior": 1.5, "diffuse_reflectance": 0.015},
-    "matt-dark": {"type": "diffuse", "reflectance": 0.02},
-    "rubber": {"type": "roughplastic", "int_ior": 1.5, "alpha": 0.35, "diffuse_reflectance": 0.018},
-    "glass": {"type": "plastic", "int_ior": 1.45, "diffuse_reflectance": 0.008},
-    "lamp": {"type": "plastic", "int_ior": 1.5, "diffuse_reflectance": 0.55},
-    "chrome": {"type": "roughconductor", "material": "Cr", "alpha": 0.18},
-    "white": {"type": "diffuse", "reflectance": 0.8},
-    "velvet": {"type": "diffuse", "reflectance": 0.008},
-    "fur": {"type": "roughplastic", "int_ior": 1.55, "alpha": 0.3, "diffuse_reflectance": 0.02},
-    "horn": {"type": "roughplastic", "int_ior": 1.55, "alpha": 0.16, "diffuse_reflectance": 0.008},
-    "enamel": {"type": "roughplastic", "int_ior": 1.5, "alpha": 0.22, "diffuse_reflectance": 0.006},
-    "margins": {"type": "diffuse", "reflectance": 0.02},
-    "plate": {"type": "diffuse", "reflectance": 0.5},
-    "card-white": {"type": "diffuse", "reflectance": 0.74},
-    "card-black": {"type": "diffuse", "reflectance": 0.012},
-    "name-ring": {"type": "diffuse", "reflectance": 0.03},
-    "pass": {"type": "roughplastic", "int_ior": 1.5, "alpha": 0.06, "diffuse_reflectance": 0.06},
-    "barbs": {"type": "diffuse", "reflectance": 0.02},
-    "quill": {"type": "roughplastic", "int_ior": 1.54, "alpha": 0.2, "diffuse_reflectance": 0.1},
-    "down": {"type": "diffuse", "reflectance": 0.3},
-    "gilt": {"type": "roughconductor", "material": "Au", "alpha": 0.15},
-    "steel": {"type": "roughconductor", "material": "Cr", "alpha": 0.08},
-}
-# printed surfaces: module, function and arguments of the drawing
-_LABELS = {
-    "label-butterfly": (("Morpho didius", "PERU  Satipo, 700 m", "leg. 12.iv.1987"), 0.436),
-    "label-feather": (("Garrulus glandarius", "upper wing covert", "SAXONY  9.x.1991"), 0.86),
-    "label-beetle": (("Chrysochroa sp.", "THAILAND  Chiang Mai", "leg. 3.vi.1994"), 0.886),
-}
-_PRINTED: dict[str, tuple[Any, ...]] = {
-    **{name: ("insects", "label_print", *arguments) for name, arguments in _LABELS.items()},
-    "card-white": ("printed", "card_print", False),
-    "card-black": ("printed", "card_print", True),
-    "name-ring": ("objects", "ring_print"),
-    "plate": ("car", "plate_print"),
-    "margins": ("insects", "margin_print"),
-}
-_GROUNDS = {
-    "banknote": printed_note,
-    "deck": wood,
-    "pass": printed_pass,
-    "boards": boards,
-}
+MATERIALS: dict[str, dict[str, Any]] = _DATA["materials"]
+_GROUNDS = {"banknote": printed_note, "deck": wood, "pass": printed_pass, "boards": boards}
 
 
 def plain_material(name: str) -> dict[str, Any]:
     """Return a material other than the subject as a Mitsuba dict."""
     if name in _GROUNDS:
         return _GROUNDS[name]()
-    if name in _PRINTED:
-        module, function, *arguments = _PRINTED[name]
+    if name in _DATA["drawings"]:
+        module, function, *arguments = _DATA["drawings"][name]
         return {"type": "diffuse", "reflectance": grey_bitmap(_shape(module, function, *arguments)[::-1])}
     return MATERIALS[name]
 
 
 def _shape(module: str, function: str, *arguments: Any) -> Any:
     """Call a function in `nacre.picture.shapes.MODULE`, imported on first use."""
-    return getattr(importlib.import_module(f"nacre.picture.shapes.{module}"), function)(*arguments)
+    fixed = (tuple(each) if isinstance(each, list) else each for each in arguments)
+    return getattr(importlib.import_module(f"nacre.picture.shapes.{module}"), function)(*fixed)
 
 
-def _parts(module: str, *rows: str | tuple[Any, ...]) -> Parts:
+def _parts(module: str, *rows: str | list[Any]) -> Parts:
     """Return a cached builder of parts.
 
     Args:
         module: module in `nacre.picture.shapes`.
-        rows: "function" for the subject, "function:material", or (function, material, arguments).
+        rows: "function" for the subject, "function:material", or [function, material, arguments].
     """
-    full = [row if isinstance(row, tuple) else row.split(":") for row in rows]
+    full = [row if isinstance(row, list) else row.split(":") for row in rows]
     return functools.cache(lambda: [Part(_shape(module, row[0], *row[2:]), *row[1:2]) for row in full])
 
 
@@ -360,84 +320,25 @@ def _body() -> list[Part]:
     return [Part(built[name], material) for name, material in materials.items()]
 
 
-_BUTTERFLY = _parts(
-    "insects",
-    "butterfly_wings",
-    "butterfly_margins:margins",
-    "butterfly_veins:velvet",
-    "butterfly_body:velvet",
-    "butterfly_fur:fur",
-)
-_FEATHER = _parts("insects", "feather_blue", "feather_dark:barbs", "feather_shaft:quill", "feather_down:down")
-_PASS = _parts("printed", "seal", "card_face:pass", "card_rim:white", "chip:gilt")
-_LENS = _parts("objects", "elements", "barrel:enamel", "name_ring:name-ring", "blades:velvet")
-_CARD = _parts("printed", "card_coat", ("card_paper", "card-white", False), ("card_paper", "card-black", True))
-_KNOB = _parts("objects", "knob", "knob_core:white", "knob_foot:dark")
-_RING = _parts("objects", "film_in_ring", "ring_wire:dark", "ring_stand:dark")
-_BEETLE = _parts("insects", "beetle_shell", "beetle_limbs:horn")
-_BOTTLE = _parts("objects", "bottle", "bottle_cap:dark")
-_STRIP = _parts("objects", "balls", "holders:horn")
-_BANKNOTE = _parts("printed", "banknote_foil", "banknote:banknote")
+_BUILT_HERE: dict[str, Parts] = {"sphere": _sphere, "panel": _panel, "bubbles": _bubbles, "body": _body}
 
 
-def _specimen(name: str, label: tuple[float, float], *pin: float) -> Parts:
-    """Label, and pin if its place and height are given."""
-    pins = [("pin", "steel", *pin)] if pin else []
-    return _parts("insects", *pins, ("label", f"label-{name}", *label))
+def _scene(name: str, data: Mapping[str, Any]) -> Scene:
+    """Return a scene of `scenes.toml`."""
+    made: dict[str, Any] = dict(data)
+    for key in ("parts", "props"):
+        if key in made:
+            made[key] = _parts(*made[key]) if isinstance(made[key], list) else _BUILT_HERE[made[key]]
+    for key in ("view", "place_view"):
+        if key in made:
+            view = made[key]
+            made[key] = View(**{**view, "origin": tuple(view["origin"]), "target": tuple(view["target"])})
+    if "size" in made:
+        made["size"] = tuple(made["size"])
+    return Scene(name, **made)
 
 
-_VIEWS = {
-    "sphere": View((0.0, -8.6, 2.7), (0.0, 0.0, 0.93), 19.0),
-    "probe": View((0.0, -7.6, 4.2), (0.0, 0.0, 0.85), 24.0),
-    "speedshape": View((-4.6, -7.6, 4.1), (0.0, 0.0, 0.5), 26.0),
-    "panel": View((0.0, -8.2, 4.6), (0.0, 0.1, 0.36), 27.5),
-    "butterfly": View((0.0, -3.3, 9.9), (0.0, -0.22, 0.1), 31.0, lens=0.05),
-    "bottle": View((0.0, -11.5, 3.6), (0.0, 0.0, 1.6), 17.5),
-    "knob": View((1.3, -8.8, 4.0), (0.0, 0.0, 1.18), 20.5),
-    "body": View((6.4, -7.6, 2.3), (0.05, 0.0, 0.42), 28.0, lens=0.05, nearer=1.2),
-    "bubble": View((0.0, -9.0, 0.3), (0.0, 0.0, 1.07), 19.0, lens=0.09),
-    "beetle": View((0.0, -3.6, 9.6), (0.05, -0.3, 0.35), 25.0, lens=0.1),
-    "ring": View((0.0, -9.0, 2.6), (0.0, 0.0, 1.56), 22.5, lens=0.05),
-    "cuff": View((0.0, -8.4, 3.0), (0.0, 0.0, 0.46), 24.5, lens=0.06, nearer=1.0),
-    "banknote": View((-1.2, -6.4, 4.4), (0.08, -0.02, 0.22), 28.6, lens=0.1),
-    "feather": View((0.35, -3.3, 9.9), (0.5, -0.13, 0.1), 27.8, lens=0.06),
-    "pass": View((0.0, -6.2, 5.4), (0.0, 0.0, 0.62), 31.0, lens=0.07),
-    "strip": View((0.0, -9.4, 3.0), (0.0, 0.0, 0.3), 40.0, lens=0.07),
-    "lens": View((1.0, -5.2, 6.2), (0.0, 0.0, 1.05), 26.0, lens=0.09, nearer=0.7),
-    "card": View((-1.6, -8.4, 5.2), (0.0, 0.1, 0.9), 22.0, lens=0.07),
-}
-_CAR_IN_PLACE = View((6.9, -7.6, 1.35), (0.05, 0.0, 0.86), 30.0, lens=0.06, nearer=1.2)
-_BUTTERFLY_PROPS = _specimen("butterfly", (1.85, -1.8), 0.0, 0.3, 1.0)
-_BEETLE_PROPS = _specimen("beetle", (1.3, -2.0), 0.24, 0.28, 1.25)
-
-
-def _scene(name: str, parts: Parts, backdrop: Backdrop = "sweep", light: str = "studio", **options: Any) -> Scene:
-    return Scene(name, parts, _VIEWS[name], backdrop, light, **options)
-
-
-SCENES: dict[str, Scene] = {
-    scene.name: scene
-    for scene in (
-        _scene("sphere", _sphere),
-        _scene("probe", _sphere, "bowl", "directional"),
-        _scene("speedshape", _parts("objects", "speedshape"), size=(800, 520)),
-        _scene("panel", _panel, light="line", size=(800, 520)),
-        _scene("butterfly", _BUTTERFLY, "specimen", size=(800, 600), props=_BUTTERFLY_PROPS),
-        _scene("bottle", _BOTTLE, max_depth=8, size=(512, 640)),
-        _scene("knob", _KNOB, max_depth=8),
-        _scene("body", _body, "acrylic", size=(960, 540), place_view=_CAR_IN_PLACE),
-        _scene("bubble", _bubbles, "acrylic", "garden"),
-        _scene("beetle", _BEETLE, "specimen", size=(640, 720), props=_BEETLE_PROPS),
-        _scene("ring", _RING, "acrylic", size=(640, 720)),
-        _scene("cuff", _parts("objects", "cuff"), "acrylic", size=(800, 600), max_depth=8),
-        _scene("banknote", _BANKNOTE, "desk", size=(800, 520)),
-        _scene("feather", _FEATHER, "specimen", props=_specimen("feather", (1.85, -1.9))),
-        _scene("pass", _PASS, "desk", "directional", size=(800, 600), props=_parts("printed", "block:dark")),
-        _scene("strip", _STRIP, "acrylic", size=(960, 400)),
-        _scene("lens", _LENS, "desk"),
-        _scene("card", _CARD, "desk", size=(640, 720)),
-    )
-}
+SCENES: dict[str, Scene] = {name: _scene(name, data) for name, data in _DATA["scenes"].items()}
 # names for `shape`: the subjects that stand on the floor, once each
 SHAPES: dict[str, Parts] = {name: scene.parts for name, scene in SCENES.items() if name not in ("probe", "bubble")}
 SCENE_NAMES = (*SCENES, "screen")

@@ -1,7 +1,5 @@
 """Triangles from mesh files, part by part, with unmodified uv, and vertex normals for meshes without any."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """The subject of a picture: a mesh file or one of our shapes, placed on the floor of a scene."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

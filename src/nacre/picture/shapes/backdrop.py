@@ -1,7 +1,5 @@
 """Surfaces around the object: backdrop, curved chessboard, flat and rolled panels, tiles."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from nacre.core.arrays import Array

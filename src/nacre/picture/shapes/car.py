@@ -5,15 +5,12 @@ sections. Wheel arches are subtracted with rounded edges; panes are cut along ex
 lengths are in metres.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.picture.shapes.implicit import smooth_max, smooth_min, superellipse, surface_net
-from nacre.picture.shapes.mesh import Mesh, bspline, curve, merge, on_sphere, parametric, revolve, rotation, split, tube
+from nacre.picture.shapes import mesh
 from nacre.picture.shapes.printed import text_mask
 
 FRONT_AXLE, REAR_AXLE = 1.32, -1.30
@@ -44,33 +41,33 @@ _BOOT = [(-1.72, 0.0), (-1.72, 0.3), (-1.73, 0.55), (-1.78, 0.66), (-1.9, 0.71),
 
 def _cabin(x: Array, y: Array, z: Array) -> Array:
     """Greenhouse: walls lean inward by 0.42 of their height; the roof is cambered."""
-    roof = curve(_ROOF, x) - 0.10 * (y / 0.7) ** 2
-    wall = curve(_CABIN, x) - 0.42 * (z - 0.85)
+    roof = mesh.curve(_ROOF, x) - 0.10 * (y / 0.7) ** 2
+    wall = mesh.curve(_CABIN, x) - 0.42 * (z - 0.85)
     top = 0.92 * (z - roof)
     side = 0.92 * (np.abs(y) - wall)
-    return smooth_max(smooth_max(top, side, 0.22), 0.55 - z, 0.05)
+    return mesh.smooth_max(mesh.smooth_max(top, side, 0.22), 0.55 - z, 0.05)
 
 
 def _hull(x: Array, y: Array, z: Array) -> Array:
-    deck, plan = curve(_DECK, x), curve(_PLAN, x)
+    deck, plan = mesh.curve(_DECK, x), mesh.curve(_PLAN, x)
     middle, half = 0.5 * (deck + _SILL), 0.5 * (deck - _SILL)
-    section = superellipse(y / plan, (z - middle) / half, 4.0)
+    section = mesh.superellipse(y / plan, (z - middle) / half, 4.0)
     shell = (section - 1) * np.minimum(plan, half)
     shell = shell + 0.05 * np.clip((0.55 - z) / 0.4, 0, 1) ** 2  # flanks taper towards the sill
     # nose and tail: curved in plan, raked in side view
     nose = 0.9 * (x + 0.34 * np.abs(y) ** 2.2 + 0.22 * (z - 0.42) ** 2 / 0.2 - 2.24)
     tail = 0.95 * (-x + 0.16 * np.abs(y) ** 2.2 + 0.18 * (z - 0.80) - 2.12)
-    shell = smooth_max(smooth_max(shell, nose, 0.30), tail, 0.13)
+    shell = mesh.smooth_max(mesh.smooth_max(shell, nose, 0.30), tail, 0.13)
     # fenders
     for axle, swell in ((FRONT_AXLE, 0.04), (REAR_AXLE, 0.045)):
         over = np.exp(-(((x - axle) / 0.45) ** 2))
         shell = shell - swell * over * np.exp(-(((z - 0.55) / 0.28) ** 2))
         shell = shell - 0.05 * over * np.exp(-(((np.abs(y) - 0.78) / 0.2) ** 2) - ((z - 0.78) / 0.15) ** 2)
-    car = smooth_min(shell, smooth_max(_cabin(x, y, z), tail + 0.06, 0.1), 0.16)
+    car = mesh.smooth_min(shell, mesh.smooth_max(_cabin(x, y, z), tail + 0.06, 0.1), 0.16)
     for axle in (FRONT_AXLE, REAR_AXLE):
         well = np.hypot(x - axle, z - WHEEL_RADIUS) - _ARCH
-        well = smooth_max(well, 0.56 - np.abs(y), 0.05)
-        car = smooth_max(car, -well, 0.06)
+        well = mesh.smooth_max(well, 0.56 - np.abs(y), 0.05)
+        car = mesh.smooth_max(car, -well, 0.06)
     return car
 
 
@@ -81,12 +78,12 @@ def _uv(points: Array) -> Array:
     )
 
 
-def car(spacing: float = 0.0225) -> dict[str, Mesh]:
+def car(spacing: float = 0.0225) -> dict[str, mesh.Mesh]:
     """Build the parts, standing on z = 0; the material goes on `paint` and `mirrors`."""
-    hull = surface_net(_hull, np.array([-2.5, -1.08, 0.05]), np.array([2.5, 1.08, 1.42]), spacing, _uv)
+    hull = mesh.surface_net(_hull, np.array([-2.5, -1.08, 0.05]), np.array([2.5, 1.08, 1.42]), spacing, _uv)
     cut = {}
     for name, field in (("glass", _panes), ("lamps", _lamp_field), ("trim", _trim_field)):
-        cut[name], hull = split(hull, field(hull.vertices, hull.normals))
+        cut[name], hull = mesh.split(hull, field(hull.vertices, hull.normals))
     mirrors = _mirrors()
     return {
         "paint": hull,
@@ -100,26 +97,28 @@ def car(spacing: float = 0.0225) -> dict[str, Mesh]:
     }
 
 
-def _at_wheels(part: Mesh) -> Mesh:
+def _at_wheels(part: mesh.Mesh) -> mesh.Mesh:
     """Copy a part, whose wheel axis is z, to the four wheels."""
     places = [(axle, side) for axle in (FRONT_AXLE, REAR_AXLE) for side in (1, -1)]
-    return merge([part.moved(rotation("x", -90.0 * s)).shifted(axle, s * TRACK, WHEEL_RADIUS) for axle, s in places])
+    return mesh.merge(
+        [part.moved(mesh.rotation("x", -90.0 * s)).shifted(axle, s * TRACK, WHEEL_RADIUS) for axle, s in places]
+    )
 
 
 def _panes(p: Array, n: Array) -> Array:
     """Positive on side windows, windscreen and rear window."""
     x, y, z = p.T
     wide = np.abs(y)
-    belt = curve([(-2.0, 0.985), (-1.2, 0.985), (-0.4, 0.955), (0.4, 0.925), (1.2, 0.89)], x)
-    rail = curve(_ROOF, x) - 0.075
-    side = -smooth_max(belt - z, z - rail, 0.03)
-    side = -smooth_max(-side, _leaning(x, z, 0.64, -1.15), 0.05)  # A pillar
-    side = -smooth_max(-side, -_leaning(x, z, -1.22, 0.75), 0.10)  # C pillar
-    side = -smooth_max(-side, 0.45 - wide, 0.02)
-    screen = -smooth_max(wide - (curve(_CABIN, x) - 0.42 * (z - 0.85) - 0.075), 0.885 - z, 0.05)
-    screen = -smooth_max(-screen, 0.22 + 0.10 * wide**2 - x, 0.05)
-    rear = -smooth_max(wide - (curve(_CABIN, x) - 0.42 * (z - 0.85) - 0.10), x + 0.86 - 0.10 * wide**2, 0.05)
-    rear = -smooth_max(-rear, -1.62 - x + 0.05 * wide**2, 0.05)
+    belt = mesh.curve([(-2.0, 0.985), (-1.2, 0.985), (-0.4, 0.955), (0.4, 0.925), (1.2, 0.89)], x)
+    rail = mesh.curve(_ROOF, x) - 0.075
+    side = -mesh.smooth_max(belt - z, z - rail, 0.03)
+    side = -mesh.smooth_max(-side, _leaning(x, z, 0.64, -1.15), 0.05)  # A pillar
+    side = -mesh.smooth_max(-side, -_leaning(x, z, -1.22, 0.75), 0.10)  # C pillar
+    side = -mesh.smooth_max(-side, 0.45 - wide, 0.02)
+    screen = -mesh.smooth_max(wide - (mesh.curve(_CABIN, x) - 0.42 * (z - 0.85) - 0.075), 0.885 - z, 0.05)
+    screen = -mesh.smooth_max(-screen, 0.22 + 0.10 * wide**2 - x, 0.05)
+    rear = -mesh.smooth_max(wide - (mesh.curve(_CABIN, x) - 0.42 * (z - 0.85) - 0.10), x + 0.86 - 0.10 * wide**2, 0.05)
+    rear = -mesh.smooth_max(-rear, -1.62 - x + 0.05 * wide**2, 0.05)
     rear = np.where(n[:, 2] > 0.25, rear, -1.0)
     return np.maximum(np.maximum(side, screen), rear)
 
@@ -147,13 +146,13 @@ def _trim_field(p: Array, n: Array) -> Array:
     well = np.full_like(x, -1.0)
     for axle in (FRONT_AXLE, REAR_AXLE):
         well = np.maximum(well, np.where(z < 0.85, _ARCH - 0.004 - np.hypot(x - axle, z - WHEEL_RADIUS), -1.0))
-    intake = -smooth_max(np.abs(z - 0.335) - 0.07, wide - 0.52 + 0.5 * np.abs(z - 0.335), 0.03)
+    intake = -mesh.smooth_max(np.abs(z - 0.335) - 0.07, wide - 0.52 + 0.5 * np.abs(z - 0.335), 0.03)
     intake = np.where(x > 1.9, intake, -1.0)
-    apron = np.where((x < -1.9) & (n[:, 0] < 0), -smooth_max(z - 0.40, wide - 0.60, 0.05), -1.0)
+    apron = np.where((x < -1.9) & (n[:, 0] < 0), -mesh.smooth_max(z - 0.40, wide - 0.60, 0.05), -1.0)
     return np.maximum(np.maximum(under, well), np.maximum(intake, apron))
 
 
-def _tyre() -> Mesh:
+def _tyre() -> mesh.Mesh:
     """A tyre about the z axis, outer face up."""
     w, r = 0.5 * WHEEL_WIDTH, WHEEL_RADIUS
     profile = [
@@ -161,21 +160,23 @@ def _tyre() -> Mesh:
         (r, -0.3 * w), (r, 0.3 * w), (r, w - 0.04), (r - 0.015, w - 0.01), (0.29, w + 0.008), (0.256, w),
         (0.25, w - 0.005), (0.246, w - 0.03), (0.24, w - 0.09), (0.1, w - 0.10), (0.0, w - 0.10),
     ]  # fmt: skip
-    return revolve(profile, 128, 160)
+    return mesh.revolve(profile, 128, 160)
 
 
-def _rim() -> Mesh:
+def _rim() -> mesh.Mesh:
     """Five twin spokes, a lip and a hub about the z axis, outer face up."""
     top = 0.5 * WHEEL_WIDTH
     lip_angle = np.linspace(0, 2 * np.pi, 17)
-    lip = revolve([(0.248 + 0.011 * np.cos(a), top - 0.004 + 0.011 * np.sin(a)) for a in lip_angle - np.pi], 128, 32)
-    hub = revolve([(0.0, top - 0.09), (0.05, top - 0.09), (0.062, top - 0.06), (0.058, top - 0.03), (0.04, top - 0.02),
-                   (0.0, top - 0.018)], 48, 32)  # fmt: skip
-    spokes = [_spoke(lean).moved(rotation("z", 72.0 * k)) for k in range(5) for lean in (-1, 1)]
-    return merge([lip, hub, *spokes])
+    lip = mesh.revolve(
+        [(0.248 + 0.011 * np.cos(a), top - 0.004 + 0.011 * np.sin(a)) for a in lip_angle - np.pi], 128, 32
+    )
+    profile = ((0.0, 0.09), (0.05, 0.09), (0.062, 0.06), (0.058, 0.03), (0.04, 0.02), (0.0, 0.018))
+    hub = mesh.revolve([(radius, top - below) for radius, below in profile], 48, 32)
+    spokes = [_spoke(lean).moved(mesh.rotation("z", 72.0 * k)) for k in range(5) for lean in (-1, 1)]
+    return mesh.merge([lip, hub, *spokes])
 
 
-def _spoke(lean: int) -> Mesh:
+def _spoke(lean: int) -> mesh.Mesh:
     top = 0.5 * WHEEL_WIDTH
 
     def position(u: Array, v: Array) -> Array:
@@ -188,29 +189,29 @@ def _spoke(lean: int) -> Mesh:
         height = top - 0.032 + 0.026 * ((along + 1) / 2) ** 2 + 0.014 * swell * s / soft
         return np.stack([r, side, height], axis=-1)
 
-    return parametric(position, 32, 40)
+    return mesh.parametric(position, 32, 40)
 
 
-def _shut_lines() -> Mesh:
+def _shut_lines() -> mesh.Mesh:
     """Gaps between doors, bonnet, boot lid and body: dark threads half sunk into the hull."""
     t = np.linspace(0.0, 1.0, 90)
     lines = []
     for points, on_hull in ((_DOOR, _on_flank), (_FLAP, _on_flank), (_BONNET, _on_top), (_BOOT, _on_top)):
-        right = on_hull(*np.moveaxis(bspline(points, t), -1, 0))
+        right = on_hull(*np.moveaxis(mesh.bspline(points, t), -1, 0))
         lines += [right] if points is _FLAP else [right, right * [1.0, -1.0, 1.0]]
-    return merge([tube(path, np.full(len(path), _SHUT_LINE), 10) for path in lines])
+    return mesh.merge([mesh.tube(path, np.full(len(path), _SHUT_LINE), 10) for path in lines])
 
 
-def _both_sides(right: Mesh) -> Mesh:
-    return merge([right, right.moved(np.diag([1.0, -1.0, 1.0]))])
+def _both_sides(right: mesh.Mesh) -> mesh.Mesh:
+    return mesh.merge([right, right.moved(np.diag([1.0, -1.0, 1.0]))])
 
 
-def _mirrors() -> Mesh:
+def _mirrors() -> mesh.Mesh:
     """Housings of the two mirrors with their arms."""
     place = _on_flank(np.array([0.60]), np.array([0.86]))[0]
 
     def position(u: Array, v: Array) -> Array:
-        ball = on_sphere(u, v)
+        ball = mesh.on_sphere(u, v)
         soft = np.sign(ball) * np.abs(ball) ** 0.72
         size = np.array([0.075, 0.12, 0.072])
         back = np.where(soft[..., 0] < 0, 0.45, 1.0)[..., None] * np.array([1.0, 0, 0]) + np.array([0, 1.0, 1.0])
@@ -218,26 +219,26 @@ def _mirrors() -> Mesh:
         return place + np.array([0.0, 0.15, 0.1]) + size * soft * back + swept
 
     joints = place + np.array([[0.02, -0.03, -0.02], [0.02, 0.05, 0.03], [0.01, 0.12, 0.06]])
-    arm = tube(bspline(joints, np.linspace(0, 1, 8)), np.linspace(0.028, 0.02, 8), 16)
-    return _both_sides(merge([parametric(position, 72, 48), arm]))
+    arm = mesh.tube(mesh.bspline(joints, np.linspace(0, 1, 8)), np.linspace(0.028, 0.02, 8), 16)
+    return _both_sides(mesh.merge([mesh.parametric(position, 72, 48), arm]))
 
 
-def _handles() -> Mesh:
+def _handles() -> mesh.Mesh:
     """Door handles."""
     x = np.linspace(-0.3, -0.5, 12)
     path = _on_flank(x, np.full_like(x, 0.775)) + np.array([0.0, 0.016, 0.0])
     ends = np.clip(6 * np.sin(np.pi * np.linspace(0.0, 1.0, 12)), 0.25, 1.0)
-    return _both_sides(tube(path, 0.013 * ends, 16))
+    return _both_sides(mesh.tube(path, 0.013 * ends, 16))
 
 
-def _plate() -> Mesh:
+def _plate() -> mesh.Mesh:
     """Front number plate, curved like the nose; u to the right for the reader, v upward."""
 
     def position(u: Array, v: Array) -> Array:
         y, z = 0.25 * (2 * u - 1), 0.42 + 0.055 * (2 * v - 1)
         return np.stack([2.268 - 0.12 * y**2, y, z], axis=-1)
 
-    return parametric(position, 12, 2)
+    return mesh.parametric(position, 12, 2)
 
 
 def plate_print(rows: int = 128) -> Array:

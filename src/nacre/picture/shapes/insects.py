@@ -1,7 +1,5 @@
 """Natural objects: butterfly, beetle and feather, with hairs, pin and label."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,21 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
+from nacre.picture.shapes import mesh
 from nacre.picture.shapes.backdrop import tile
-from nacre.picture.shapes.implicit import ellipsoid, smooth_min, surface_net
-from nacre.picture.shapes.mesh import (
-    Mesh,
-    bspline,
-    curve,
-    face_normals,
-    merge,
-    on_sphere,
-    parametric,
-    quad,
-    revolve,
-    tube,
-    two_triangles,
-)
 from nacre.picture.shapes.printed import text_mask
 
 
@@ -33,7 +18,7 @@ def _unit(vectors: Array) -> Array:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def hairs(roots: Array, along: Array, length: Array, radius: Array, bend: Array) -> Mesh:
+def hairs(roots: Array, along: Array, length: Array, radius: Array, bend: Array) -> mesh.Mesh:
     """Tapering spikes, one per root.
 
     Args:
@@ -53,15 +38,17 @@ def hairs(roots: Array, along: Array, length: Array, radius: Array, bend: Array)
     normals = np.broadcast_to(out[:, None], vertices.shape)
     index = np.arange(len(roots) * rings * around).reshape(len(roots), rings, around)
     following = np.roll(index, -1, axis=2)
-    faces = two_triangles(index[:, :-1], following[:, :-1], following[:, 1:], index[:, 1:])
-    return Mesh(vertices.reshape(-1, 3), normals.reshape(-1, 3).copy(), np.zeros((index.size, 2)), faces)
+    faces = mesh.two_triangles(index[:, :-1], following[:, :-1], following[:, 1:], index[:, 1:])
+    return mesh.Mesh(vertices.reshape(-1, 3), normals.reshape(-1, 3).copy(), np.zeros((index.size, 2)), faces)
 
 
-def fur(surface: Mesh, count: int, length: tuple[float, float], radius: float, lean: Array, seed: int) -> Mesh:
+def fur(
+    surface: mesh.Mesh, count: int, length: tuple[float, float], radius: float, lean: Array, seed: int
+) -> mesh.Mesh:
     """Hairs distributed evenly over the area of a surface; `lean` is added to their normal direction."""
     rng = np.random.default_rng(seed)
     corner = surface.vertices[surface.faces]
-    area = np.linalg.norm(face_normals(corner), axis=1)
+    area = np.linalg.norm(mesh.face_normals(corner), axis=1)
     chosen = rng.choice(len(area), size=count, p=area / area.sum())
     share = rng.dirichlet((1.0, 1.0, 1.0), size=count)[..., None]
     roots = (corner[chosen] * share).sum(axis=1)
@@ -72,7 +59,9 @@ def fur(surface: Mesh, count: int, length: tuple[float, float], radius: float, l
     return hairs(roots, along, long, radius * rng.uniform(0.6, 1.0, size=count), bend)
 
 
-def bristles(path: Array, thickness: Array, count: int, length: tuple[float, float], radius: float, seed: int) -> Mesh:
+def bristles(
+    path: Array, thickness: Array, count: int, length: tuple[float, float], radius: float, seed: int
+) -> mesh.Mesh:
     """Bristles on a limb, given by its axis `[K, 3]` and radius `[K]`; they point outward and towards its end."""
     rng = np.random.default_rng(seed)
     place = np.sort(rng.uniform(0.04, 0.98, size=count)) * (len(path) - 1)
@@ -88,10 +77,10 @@ def bristles(path: Array, thickness: Array, count: int, length: tuple[float, flo
     return hairs(middle + 0.9 * thick[:, None] * out, along, long, np.full(count, radius), 0.2 * ahead)
 
 
-def pair(right: Mesh) -> Mesh:
+def pair(right: mesh.Mesh) -> mesh.Mesh:
     """A right half and its mirror image; u runs to the right over each half."""
     left = right.moved(np.diag([-1.0, 1.0, 1.0]))
-    return merge([right, left.with_uv(left.uv * [-1, 1] + [1, 0])])
+    return mesh.merge([right, left.with_uv(left.uv * [-1, 1] + [1, 0])])
 
 
 # Butterfly with spread wings. On the wings v runs from the root to the margin along the veins and u across them,
@@ -121,7 +110,7 @@ def _wing_point(name: str, u: Array, v: Array) -> Array:
     outline, veins, lift, plane, root = _WINGS[name]
     first, last = outline[0][0], outline[-1][0]
     angle_deg = first + (last - first) * u
-    reach = curve([(-a, r) for a, r in outline], -angle_deg)
+    reach = mesh.curve([(-a, r) for a, r in outline], -angle_deg)
     angle = np.radians(angle_deg)
     # scallops between the veins, and a faint relief that varies the highlights
     between = np.interp(-angle_deg, [-a for a in veins], np.arange(len(veins)))
@@ -140,26 +129,26 @@ def _reach(name: str, u: Array) -> Array:
     return np.asarray(MARGIN - share * np.exp(-(((u - tip) / width) ** 2)) + waves)
 
 
-def _wing(name: str, is_margin: bool) -> Mesh:
+def _wing(name: str, is_margin: bool) -> mesh.Mesh:
     def along(u: Array, v: Array) -> Array:
         start, stop = (_reach(name, u), 1.0) if is_margin else (0.015, _reach(name, u))
         return np.asarray(start + (stop - start) * v)
 
-    part = parametric(lambda u, v: _wing_point(name, u, along(u, v)), 300, 30 if is_margin else 120)
+    part = mesh.parametric(lambda u, v: _wing_point(name, u, along(u, v)), 300, 30 if is_margin else 120)
     u, v = part.uv.T
     return part.with_uv(np.stack([u, along(u, v)], axis=1))
 
 
-def _wings(is_margin: bool) -> Mesh:
-    return pair(merge([_wing(name, is_margin) for name in _WINGS])).shifted(0.0, 0.0, _BUTTERFLY_Z)
+def _wings(is_margin: bool) -> mesh.Mesh:
+    return pair(mesh.merge([_wing(name, is_margin) for name in _WINGS])).shifted(0.0, 0.0, _BUTTERFLY_Z)
 
 
-def butterfly_wings() -> Mesh:
+def butterfly_wings() -> mesh.Mesh:
     """The coloured part of all four wings, facing up."""
     return _wings(is_margin=False)
 
 
-def butterfly_margins() -> Mesh:
+def butterfly_margins() -> mesh.Mesh:
     """The dark margins of the four wings."""
     margins = _wings(is_margin=True)
     return margins.with_uv((margins.uv - np.array([0.0, EDGE])) / np.array([1.0, 1.0 - EDGE]))
@@ -177,7 +166,7 @@ def margin_print(rows: int = 256) -> Array:
     return np.asarray((0.009 + 0.5 * spots) * rows_of_scales)
 
 
-def butterfly_veins() -> Mesh:
+def butterfly_veins() -> mesh.Mesh:
     """Raised veins, as tapering tubes: two trunks that enclose a cell, with branches to the edge."""
     tubes = []
     t = np.linspace(0.02, 0.985, 32)
@@ -190,14 +179,14 @@ def butterfly_veins() -> Mesh:
         for number, angle in enumerate(veins):
             trunk = np.mean(veins[:2] if number < half else veins[-2:])
             u = (trunk + (angle - trunk) * apart - first) / (last - first)
-            tubes.append(tube(_wing_point(name, u, t), np.linspace(0.013, 0.0045, len(t))))
+            tubes.append(mesh.tube(_wing_point(name, u, t), np.linspace(0.013, 0.0045, len(t))))
         # the far end of the cell
         u = (veins[half - 1] + (veins[half] - veins[half - 1]) * across - first) / (last - first)
-        tubes.append(tube(_wing_point(name, u, 0.56 - 0.05 * np.sin(np.pi * across)), np.full(12, 0.006)))
-    return pair(merge(tubes)).shifted(0.0, 0.0, _BUTTERFLY_Z)
+        tubes.append(mesh.tube(_wing_point(name, u, 0.56 - 0.05 * np.sin(np.pi * across)), np.full(12, 0.006)))
+    return pair(mesh.merge(tubes)).shifted(0.0, 0.0, _BUTTERFLY_Z)
 
 
-def butterfly_fur() -> Mesh:
+def butterfly_fur() -> mesh.Mesh:
     """Hairs on the body, longer on the thorax and near the wings, pointing to the tail."""
     body = _trunk()
     lean = np.array([0.0, -0.9, 0.15])
@@ -210,30 +199,32 @@ def butterfly_fur() -> Mesh:
         ((y >= 0.46) & (y < 0.56), 350, (0.03, 0.06), 0.0028, -0.4 * lean, 5),
     )
     coats = [fur(replace(body, faces=body.faces[is_in]), *options) for is_in, *options in parts]
-    return merge(coats).shifted(0.0, 0.0, _BUTTERFLY_Z)
+    return mesh.merge(coats).shifted(0.0, 0.0, _BUTTERFLY_Z)
 
 
 @functools.cache
-def _trunk() -> Mesh:
+def _trunk() -> mesh.Mesh:
     """Head, thorax and abdomen."""
 
     def body(x: Array, y: Array, z: Array) -> Array:
-        thorax = ellipsoid(x, y, z, (0, 0.18, 0.13), (0.14, 0.32, 0.14))
-        head = ellipsoid(x, y, z, (0, 0.54, 0.15), (0.1, 0.1, 0.1))
-        rings = ellipsoid(x, y, z, (0, -0.52, 0.09), (0.1, 0.56, 0.1)) + 0.006 * np.cos(38 * y)
-        eyes = np.minimum(*(ellipsoid(x, y, z, (side * 0.075, 0.57, 0.17), (0.05, 0.06, 0.05)) for side in (1, -1)))
-        return smooth_min(smooth_min(smooth_min(thorax, rings, 0.1), head, 0.06), eyes, 0.015)
+        thorax = mesh.ellipsoid(x, y, z, (0, 0.18, 0.13), (0.14, 0.32, 0.14))
+        head = mesh.ellipsoid(x, y, z, (0, 0.54, 0.15), (0.1, 0.1, 0.1))
+        rings = mesh.ellipsoid(x, y, z, (0, -0.52, 0.09), (0.1, 0.56, 0.1)) + 0.006 * np.cos(38 * y)
+        eyes = np.minimum(
+            *(mesh.ellipsoid(x, y, z, (side * 0.075, 0.57, 0.17), (0.05, 0.06, 0.05)) for side in (1, -1))
+        )
+        return mesh.smooth_min(mesh.smooth_min(mesh.smooth_min(thorax, rings, 0.1), head, 0.06), eyes, 0.015)
 
     low, high = np.array([-0.25, -1.2, -0.1]), np.array([0.25, 0.78, 0.38])
-    return surface_net(body, low, high, 0.008, lambda points: points[:, :2].copy())
+    return mesh.surface_net(body, low, high, 0.008, lambda points: points[:, :2].copy())
 
 
-def butterfly_body() -> Mesh:
+def butterfly_body() -> mesh.Mesh:
     """Head, thorax, abdomen and feelers."""
     t = np.linspace(0, 1, 16)
     feeler = np.stack([0.035 + 0.36 * t**1.2, 0.6 + 0.75 * t - 0.06 * t**3, 0.2 + 0.16 * t - 0.06 * t**2], axis=1)
     thickness = 0.009 + 0.016 * np.exp(-(((t - 0.97) / 0.06) ** 2))
-    return merge([_trunk(), pair(tube(feeler, thickness))]).shifted(0.0, 0.0, _BUTTERFLY_Z)
+    return mesh.merge([_trunk(), pair(mesh.tube(feeler, thickness))]).shifted(0.0, 0.0, _BUTTERFLY_Z)
 
 
 # Beetle, seen from above. u runs to its right and v from tail to head, over all coloured parts together.
@@ -257,11 +248,11 @@ _HEAD = [
 ]  # fmt: skip
 
 
-def _shell(profile: Sequence[tuple[float, float, float]], is_scored: bool, cells: tuple[int, int]) -> Mesh:
+def _shell(profile: Sequence[tuple[float, float, float]], is_scored: bool, cells: tuple[int, int]) -> mesh.Mesh:
     """A domed shell over a profile; scored: with a central seam and lines of pits."""
 
     def position(u: Array, v: Array) -> Array:
-        width, y, height = np.moveaxis(bspline(profile, v), -1, 0)
+        width, y, height = np.moveaxis(mesh.bspline(profile, v), -1, 0)
         side = 2 * u - 1
         angle = 0.53 * np.pi * side
         across, up = np.sin(angle), np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** 0.8
@@ -274,25 +265,25 @@ def _shell(profile: Sequence[tuple[float, float, float]], is_scored: bool, cells
             up = up - (seam + fade * line**6 * (0.012 + 0.02 * pit)) / np.maximum(height, 0.1)
         return np.stack([width * across, y, _BELLY + height * up], axis=-1)
 
-    return parametric(position, *cells)
+    return mesh.parametric(position, *cells)
 
 
-def beetle_shell() -> Mesh:
+def beetle_shell() -> mesh.Mesh:
     """Wing cases, neck shield and head, which take the material."""
     parts = [_shell(_WING_CASES, True, (560, 640)), _shell(_SHIELD, False, (160, 90)), _shell(_HEAD, False, (120, 80))]
-    whole = merge(parts)
+    whole = mesh.merge(parts)
     across = 0.5 + 0.5 * whole.vertices[:, 0] / _HALF_WIDTH
     return whole.with_uv(np.stack([across, (whole.vertices[:, 1] - _TAIL) / _BEETLE_LENGTH], axis=1))
 
 
-def _ellipsoid_mesh(centre: Sequence[float], size: Sequence[float]) -> Mesh:
-    return parametric(lambda u, v: np.asarray(centre) + np.asarray(size) * on_sphere(u, v), 64, 32)
+def _ellipsoid_mesh(centre: Sequence[float], size: Sequence[float]) -> mesh.Mesh:
+    return mesh.parametric(lambda u, v: np.asarray(centre) + np.asarray(size) * mesh.on_sphere(u, v), 64, 32)
 
 
-def beetle_limbs() -> Mesh:
+def beetle_limbs() -> mesh.Mesh:
     """Belly, eyes, six legs with bristles, two feelers."""
     belly = _ellipsoid_mesh((0.0, -0.25, _BELLY + 0.02), (0.66, 1.42, 0.13))
-    legs: list[Mesh] = []
+    legs: list[mesh.Mesh] = []
     for number, (y, out, along) in enumerate(((0.78, 0.95, 0.5), (0.3, 1.2, 0.02), (-0.2, 1.18, -0.62))):
         knee = (0.5 + 0.42 * out, y + 0.45 * along, 0.38)
         foot = (0.5 + 0.68 * out, y + 1.05 * along, 0.05)
@@ -304,35 +295,35 @@ def beetle_limbs() -> Mesh:
     t = np.linspace(0, 1, 14)
     path = np.stack([0.2 + 0.5 * t**0.8, 1.28 + 0.42 * np.sin(2.0 * t), 0.3 + 0.08 * np.sin(np.pi * t)], axis=1)
     thickness = 0.026 + 0.009 * np.cos(2 * np.pi * 6.5 * t) - 0.008 * t
-    feeler = [tube(path, thickness), bristles(path, thickness, 60, (0.02, 0.045), 0.0022, 77)]
+    feeler = [mesh.tube(path, thickness), bristles(path, thickness, 60, (0.02, 0.045), 0.0022, 77)]
     eye = _ellipsoid_mesh((0.34, 1.13, _BELLY + 0.14), (0.085, 0.12, 0.11))
-    return merge([belly, pair(merge([*legs, *feeler, eye]))])
+    return mesh.merge([belly, pair(mesh.merge([*legs, *feeler, eye]))])
 
 
 def _limb(
     joints: Sequence[tuple[float, float, float]], radii: tuple[float, float, float], count: int, seed: int
-) -> list[Mesh]:
+) -> list[mesh.Mesh]:
     t = np.linspace(0.0, 1.0, 10)
-    path, radius = bspline(joints, t), np.interp(t, (0.0, 0.5, 1.0), radii)
-    return [tube(path, radius, 16), bristles(path, radius, count, (0.03, 0.075), 0.0032, seed)]
+    path, radius = mesh.bspline(joints, t), np.interp(t, (0.0, 0.5, 1.0), radii)
+    return [mesh.tube(path, radius, 16), bristles(path, radius, count, (0.03, 0.075), 0.0032, seed)]
 
 
-def _foot(start: tuple[float, float, float], reach: tuple[float, float], seed: int) -> list[Mesh]:
+def _foot(start: tuple[float, float, float], reach: tuple[float, float], seed: int) -> list[mesh.Mesh]:
     """Four short joints, each wider at its end, and two claws."""
-    parts: list[Mesh] = []
+    parts: list[mesh.Mesh] = []
     step = np.array([reach[0], reach[1], -0.01]) / 4.0
     for joint in range(4):
         begin = np.array(start) + joint * step
         path = begin + np.linspace(0.0, 1.0, 5)[:, None] * step * 0.96
         width = 0.02 * np.array([0.62, 0.75, 0.95, 1.1, 0.7]) * (1.0 - 0.1 * joint)
-        parts += [tube(path, width, 12), bristles(path, width, 12, (0.025, 0.05), 0.0024, seed + 100 * joint)]
+        parts += [mesh.tube(path, width, 12), bristles(path, width, 12, (0.025, 0.05), 0.0024, seed + 100 * joint)]
     end = np.array(start) + 4 * step
     ahead = step / np.linalg.norm(step)
     across = np.array([-ahead[1], ahead[0], 0.0])
     t = np.linspace(0.0, 1.0, 6)[:, None]
     for side in (-1, 1):
         claw = end + 0.085 * t * ahead + side * (0.05 * t - 0.035 * t**2) * across - [0.0, 0.0, 0.02] * t**2
-        parts.append(tube(claw, np.linspace(0.011, 0.003, 6), 8))
+        parts.append(mesh.tube(claw, np.linspace(0.011, 0.003, 6), 8))
     return parts
 
 
@@ -353,7 +344,7 @@ def _shaft(t: Array) -> Array:
 
 
 @functools.cache
-def _vanes() -> tuple[Mesh, Mesh]:
+def _vanes() -> tuple[mesh.Mesh, mesh.Mesh]:
     """The blue and the dark barbs."""
     rng = np.random.default_rng(_FEATHER_SEED)
     t = np.linspace(0.02, 0.995, _BARBS)[:, None]
@@ -384,41 +375,41 @@ def _vanes() -> tuple[Mesh, Mesh]:
         is_dark = (bar | (s[:, :-1] > 0.97)) if side > 0 else np.ones_like(bar)
         is_dark = np.broadcast_to(is_dark[:, None, :], corners[0].shape)
         for chosen, faces in ((is_dark, dark), (~is_dark, blue)):
-            faces.append(two_triangles(*(corner[chosen] for corner in corners))[:, ::side])
+            faces.append(mesh.two_triangles(*(corner[chosen] for corner in corners))[:, ::side])
     return _barbs(vertices, blue), _barbs(vertices, dark)
 
 
-def _barbs(vertices: Sequence[Array], faces: Sequence[NDArray[np.int64]]) -> Mesh:
+def _barbs(vertices: Sequence[Array], faces: Sequence[NDArray[np.int64]]) -> mesh.Mesh:
     """A surface with normals averaged over its faces, and uv over the feather."""
     used, compact = np.unique(np.concatenate(faces), return_inverse=True)
     points, triangles = np.concatenate(vertices)[used], compact.reshape(-1, 3).astype(np.int64)
-    across = face_normals(points[triangles])
+    across = mesh.face_normals(points[triangles])
     normals = np.zeros_like(points)
     for k in range(3):
         np.add.at(normals, triangles[:, k], across)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     uv = np.stack([0.5 + 0.5 * points[:, 0], (points[:, 1] - _VANE_LOW) / (1.12 * _VANE_LENGTH)], axis=1)
-    return Mesh(points, normals, uv, triangles)
+    return mesh.Mesh(points, normals, uv, triangles)
 
 
-def feather_blue() -> Mesh:
+def feather_blue() -> mesh.Mesh:
     """The coloured barbs, which take the material."""
     return _vanes()[0]
 
 
-def feather_dark() -> Mesh:
+def feather_dark() -> mesh.Mesh:
     """The bars and the dark vane."""
     return _vanes()[1]
 
 
-def feather_shaft() -> Mesh:
+def feather_shaft() -> mesh.Mesh:
     """The shaft and its quill."""
     t = np.linspace(-0.1, 0.985, 48)
     radius = 0.045 * np.sqrt(np.clip(1.02 - t, 0.0, 1.0)) * np.clip(0.6 + 3 * (t + 0.1), 0.6, 1.0)
-    return tube(_shaft(t) + [0.0, 0.0, 0.012], radius, 20)
+    return mesh.tube(_shaft(t) + [0.0, 0.0, 0.012], radius, 20)
 
 
-def feather_down() -> Mesh:
+def feather_down() -> mesh.Mesh:
     """Loose down at the base of the vanes."""
     rng = np.random.default_rng(_FEATHER_SEED + 1)
     count = 900
@@ -435,20 +426,20 @@ LABEL_WIDTH, LABEL_HEIGHT = 1.5, 0.66
 _LABEL_ROWS = 660
 
 
-def pin(x: float, y: float, height: float) -> Mesh:
+def pin(x: float, y: float, height: float) -> mesh.Mesh:
     """An upright insect pin with a round head."""
     radius, head = 0.011, 0.036
     shaft = [(radius, z) for z in np.linspace(0.0, height, 8)]
     ball = [(head * np.sin(a), height + head * (1 - np.cos(a))) for a in np.linspace(0.35, np.pi, 16)]
-    return revolve([*shaft, *ball], 32, 120).shifted(x, y, 0.0)
+    return mesh.revolve([*shaft, *ball], 32, 120).shifted(x, y, 0.0)
 
 
-def label(x: float, y: float) -> Mesh:
+def label(x: float, y: float) -> mesh.Mesh:
     """A label flat on the floor, centred at (x, y), with a thin edge."""
     edge, half = 0.012, 0.5 * np.array([LABEL_WIDTH, LABEL_HEIGHT])
     corners = half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)])
-    sides = [quad([(*a, 0.0), (*b, 0.0), (*b, edge), (*a, edge)]) for a, b in zip(corners, corners[1:])]
-    return merge([tile(LABEL_WIDTH, LABEL_HEIGHT).shifted(0.0, 0.0, edge), *sides]).shifted(x, y, 0.0)
+    sides = [mesh.quad([(*a, 0.0), (*b, 0.0), (*b, edge), (*a, edge)]) for a, b in zip(corners, corners[1:])]
+    return mesh.merge([tile(LABEL_WIDTH, LABEL_HEIGHT).shifted(0.0, 0.0, edge), *sides]).shifted(x, y, 0.0)
 
 
 def label_print(lines: tuple[str, ...], bar: float) -> Array:

@@ -1,7 +1,5 @@
 """Manufactured objects: speedshape, knob, bottle, film in a ring, cuff, strip of balls, camera lens."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np
@@ -9,18 +7,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from nacre.core.arrays import Array
-from nacre.picture.shapes.implicit import smooth_max, surface_net
-from nacre.picture.shapes.mesh import (
-    Mesh,
-    bspline,
-    merge,
-    on_circle,
-    on_sphere,
-    open_seam,
-    parametric,
-    revolve,
-    rotation,
-)
+from nacre.picture.shapes import mesh
 
 # speedshape, tail to nose: half width, half height, height of the spine
 _SECTIONS = [
@@ -30,7 +17,7 @@ _SECTIONS = [
 _HALF_LENGTH = 1.9
 
 
-def speedshape() -> Mesh:
+def speedshape() -> mesh.Mesh:
     """A smooth, doubly curved body with convex and concave regions and no sharp edge, on z = 0, nose towards +x.
 
     Paint manufacturers evaluate effect colours on such bodies, which show all angles. u runs from tail to nose, v
@@ -42,7 +29,7 @@ def speedshape() -> Mesh:
         along = -np.cos(np.pi * u)  # denser at the ends, which are round
         swell = np.sin(np.pi * u)
         swell = np.sign(swell) * np.abs(swell) ** 0.8  # blunter ends than those of an ellipsoid
-        width, height, spine = np.moveaxis(bspline(_SECTIONS, 0.5 + 0.5 * along), -1, 0)
+        width, height, spine = np.moveaxis(mesh.bspline(_SECTIONS, 0.5 + 0.5 * along), -1, 0)
         c, s = np.cos(phi), np.sin(phi)
         # a concave flank just above the waist, fading towards the ends
         middle = np.exp(-(((along + 0.12) / 0.55) ** 2))
@@ -55,7 +42,7 @@ def speedshape() -> Mesh:
             [_HALF_LENGTH * along, width * swell * waist * c, spine + height * swell * crest * flatness * s], axis=-1
         )
 
-    body = parametric(position, 420, 320)
+    body = mesh.parametric(position, 420, 320)
     return body.shifted(0.0, 0.0, -body.bounds[0][2])
 
 
@@ -68,7 +55,7 @@ _KNOB_FOOT = [
 ]  # fmt: skip
 
 
-def knob() -> Mesh:
+def knob() -> mesh.Mesh:
     """A ball of radius 1 with a dish facing the camera and a groove round the dish."""
 
     def body(x: Array, y: Array, z: Array) -> Array:
@@ -78,7 +65,7 @@ def knob() -> Mesh:
         across = np.sqrt(np.maximum(radius**2 - along**2, 0.0))
         dish = np.sqrt(across**2 + (along - 1.42) ** 2 + 1e-12) - 0.74
         groove = np.hypot(across - 0.9, along - 0.36) - 0.06
-        return smooth_max(smooth_max(radius - 1.0, -dish, 0.07), -groove, 0.05)
+        return mesh.smooth_max(mesh.smooth_max(radius - 1.0, -dish, 0.07), -groove, 0.05)
 
     def uv(points: Array) -> Array:
         d = points - np.array([0.0, 0.0, _KNOB_Z])
@@ -86,18 +73,18 @@ def knob() -> Mesh:
 
     edge = 1.06
     low = np.array([-edge, -edge, _KNOB_Z - edge])
-    return open_seam(surface_net(body, low, low + 2 * edge, 0.0175, uv))
+    return mesh.open_seam(mesh.surface_net(body, low, low + 2 * edge, 0.0175, uv))
 
 
-def knob_core() -> Mesh:
+def knob_core() -> mesh.Mesh:
     """A bead in the dish that shows interreflection."""
     profile = [(0.2 * np.sin(a), -0.2 * np.cos(a)) for a in np.linspace(0, np.pi, 25)]
-    return revolve(profile, 96, 64).shifted(*(_WINDOW * 0.86 + np.array([0.0, 0.0, _KNOB_Z])))
+    return mesh.revolve(profile, 96, 64).shifted(*(_WINDOW * 0.86 + np.array([0.0, 0.0, _KNOB_Z])))
 
 
-def knob_foot() -> Mesh:
+def knob_foot() -> mesh.Mesh:
     """The turned foot."""
-    return revolve(_KNOB_FOOT, 256, 200)
+    return mesh.revolve(_KNOB_FOOT, 256, 200)
 
 
 # (radius, z) in units of the largest half width
@@ -112,14 +99,14 @@ _CAP = [
 ]  # fmt: skip
 
 
-def bottle() -> Mesh:
+def bottle() -> mesh.Mesh:
     """A bottle with shoulder and neck, standing on z = 0, closed at the neck."""
-    return revolve(_BOTTLE, 320, 320)
+    return mesh.revolve(_BOTTLE, 320, 320)
 
 
-def bottle_cap() -> Mesh:
+def bottle_cap() -> mesh.Mesh:
     """The cap on the bottle's neck."""
-    return revolve(_CAP, 200, 200)
+    return mesh.revolve(_CAP, 200, 200)
 
 
 _RING, _WIRE, _RING_LOW = 1.25, 0.03, 0.62  # radii of ring and wire; height of the lowest point
@@ -129,37 +116,41 @@ _RING_FOOT = [(0.0, 0.0), (0.3, 0.0), (0.5, 0.0), (0.52, 0.0), (0.53, 0.03), (0.
               (0.05, 0.16), (0.0, 0.2)]  # fmt: skip
 
 
-def _leaning(surface: Mesh) -> Mesh:
+def _leaning(surface: mesh.Mesh) -> mesh.Mesh:
     """Lean a surface about the centre of the ring backward and stand it on its lowest point."""
     lift = _RING_LOW + _RING * float(np.cos(np.radians(_RING_LEAN_DEG)))
-    return surface.moved(rotation("x", -_RING_LEAN_DEG)).moved(rotation("z", _RING_TURN_DEG), (0.0, 0.0, lift))
+    return surface.moved(mesh.rotation("x", -_RING_LEAN_DEG)).moved(
+        mesh.rotation("z", _RING_TURN_DEG), (0.0, 0.0, lift)
+    )
 
 
-def film_in_ring() -> Mesh:
+def film_in_ring() -> mesh.Mesh:
     """A slightly bulged film, as soap films are shown; u to the right and v upward over the whole ring."""
 
     def position(u: Array, v: Array) -> Array:
-        return on_circle(_RING * v, u, _FILM_BULGE * _RING * (1.0 - v * v))[..., [0, 2, 1]] * [1.0, -1.0, 1.0]
+        return mesh.on_circle(_RING * v, u, _FILM_BULGE * _RING * (1.0 - v * v))[..., [0, 2, 1]] * [1.0, -1.0, 1.0]
 
-    disc = parametric(position, 192, 64)
+    disc = mesh.parametric(position, 192, 64)
     return _leaning(disc.with_uv(0.5 + 0.5 * disc.vertices[:, [0, 2]] / _RING).turned())  # normals towards the camera
 
 
-def ring_wire() -> Mesh:
+def ring_wire() -> mesh.Mesh:
     """The wire round the film."""
 
     def position(u: Array, v: Array) -> Array:
         turn = 2 * np.pi * v
-        return on_circle(_RING + _WIRE * np.cos(turn), u, _WIRE * np.sin(turn))[..., [0, 2, 1]]
+        return mesh.on_circle(_RING + _WIRE * np.cos(turn), u, _WIRE * np.sin(turn))[..., [0, 2, 1]]
 
-    return _leaning(parametric(position, 256, 24).turned())
+    return _leaning(mesh.parametric(position, 256, 24).turned())
 
 
-def ring_stand() -> Mesh:
+def ring_stand() -> mesh.Mesh:
     """Rod and foot below the ring."""
-    rod = revolve([(0.9 * _WIRE, z) for z in np.linspace(0.05, _RING_LOW, 6)], 32, 8)
-    both = merge([rod, revolve(_RING_FOOT, 96, 64)]).shifted(0.0, -_RING * np.sin(np.radians(_RING_LEAN_DEG)), 0.0)
-    return both.moved(rotation("z", _RING_TURN_DEG))
+    rod = mesh.revolve([(0.9 * _WIRE, z) for z in np.linspace(0.05, _RING_LOW, 6)], 32, 8)
+    both = mesh.merge([rod, mesh.revolve(_RING_FOOT, 96, 64)]).shifted(
+        0.0, -_RING * np.sin(np.radians(_RING_LEAN_DEG)), 0.0
+    )
+    return both.moved(mesh.rotation("z", _RING_TURN_DEG))
 
 
 _CUFF, _CUFF_HALF_HEIGHT, _CUFF_THICKNESS, _CUFF_GAP_DEG = 1.3, 0.62, 0.07, 38.0  # gap at the back
@@ -183,7 +174,7 @@ def _hammered(phi: Array, z: Array) -> Array:
     return np.asarray(_BLOW_DEPTH * np.logaddexp.reduce(_BLOW_SHARPNESS * bowls, axis=-1) / _BLOW_SHARPNESS)
 
 
-def cuff() -> Mesh:
+def cuff() -> mesh.Mesh:
     """A hammered open band, standing on z = 0; u to the right and v upward on outside (front) and inside (back)."""
     half = np.pi - 0.5 * np.radians(_CUFF_GAP_DEG)
 
@@ -199,9 +190,9 @@ def cuff() -> Mesh:
         oval = 1.0 + 0.06 * np.cos(2 * phi)
         return np.stack([oval * radius * np.cos(phi), radius * np.sin(phi), _CUFF_HALF_HEIGHT + z], axis=-1)
 
-    outside = parametric(lambda u, v: place(u, 2 * v - 1, True), 720, 180)
-    inside = parametric(lambda u, v: place(1 - u, 2 * v - 1, False), 400, 60)
-    return merge([outside, inside])
+    outside = mesh.parametric(lambda u, v: place(u, 2 * v - 1, True), 720, 180)
+    inside = mesh.parametric(lambda u, v: place(1 - u, 2 * v - 1, False), 400, 60)
+    return mesh.merge([outside, inside])
 
 
 BALLS, _BALL, _BALL_DISTANCE, _HOLDER_RIM = 7, 0.42, 0.98, 0.09
@@ -209,23 +200,23 @@ _HOLDER = [(0.0, 0.0), (0.24, 0.0), (0.26, 0.0), (0.27, 0.01), (0.26, 0.03), (0.
            (0.165, 0.13), (0.12, 0.12), (0.0, 0.12)]  # fmt: skip
 
 
-def _in_row(one: Mesh, z: float) -> Mesh:
+def _in_row(one: mesh.Mesh, z: float) -> mesh.Mesh:
     middles = [(number - 0.5 * (BALLS - 1)) * _BALL_DISTANCE for number in range(BALLS)]
-    return merge([one.shifted(x, 0.0, z) for x in middles])
+    return mesh.merge([one.shifted(x, 0.0, z) for x in middles])
 
 
-def balls() -> Mesh:
+def balls() -> mesh.Mesh:
     """A strip of balls; u runs over the whole strip and v over each ball, therefore a formula of u is a series."""
     low = _HOLDER_RIM + 0.94 * _BALL
     half = 0.5 * (BALLS - 1) * _BALL_DISTANCE + _BALL
-    whole = _in_row(parametric(lambda u, v: _BALL * on_sphere(u + 0.25, v), 160, 80), low)
+    whole = _in_row(mesh.parametric(lambda u, v: _BALL * mesh.on_sphere(u + 0.25, v), 160, 80), low)
     uv = [0.5 + 0.5 * whole.vertices[:, 0] / half, 0.5 + 0.5 * (whole.vertices[:, 2] - low) / _BALL]
     return whole.with_uv(np.stack(uv, axis=1))
 
 
-def holders() -> Mesh:
+def holders() -> mesh.Mesh:
     """A turned foot below each ball."""
-    return _in_row(revolve(_HOLDER, 96, 80), 0.0)
+    return _in_row(mesh.revolve(_HOLDER, 96, 80), 0.0)
 
 
 _BARREL_TOP = 1.72
@@ -239,35 +230,39 @@ _MOUTH = [(0.5, 0.6), (0.52, 0.62), (0.6, 0.8), (0.66, 1.1), (0.74, 1.25), (0.78
 _GRIP_RIBS, _APERTURE_BLADES = 60, 7
 
 
-def _element(radius: float, low: float, front: float, back: float) -> Mesh:
+def _element(radius: float, low: float, front: float, back: float) -> mesh.Mesh:
     """A lens about the z axis, its rim at height `low`, with sagittas of the front and the back face."""
     edge = 0.05
 
-    def face(sag: float, height: float) -> Mesh:
-        return parametric(lambda u, v: on_circle(radius * v, u, height + sag * (1 - v * v)), 160, 48).facing_up()
+    def face(sag: float, height: float) -> mesh.Mesh:
+        return mesh.parametric(
+            lambda u, v: mesh.on_circle(radius * v, u, height + sag * (1 - v * v)), 160, 48
+        ).facing_up()
 
-    rim = parametric(lambda u, v: on_circle(radius, u, low + edge * (v - 1)), 160, 2)
-    whole = merge([face(front, low), face(back, low - edge).turned(), rim])
+    rim = mesh.parametric(lambda u, v: mesh.on_circle(radius, u, low + edge * (v - 1)), 160, 2)
+    whole = mesh.merge([face(front, low), face(back, low - edge).turned(), rim])
     return whole.with_uv(0.5 + 0.5 * whole.vertices[:, :2] / radius)
 
 
-def elements() -> Mesh:
+def elements() -> mesh.Mesh:
     """Glass elements of the camera lens; u to the right and v upward over each element."""
-    return merge([_element(0.79, 1.52, 0.30, 0.06), _element(0.62, 1.16, 0.10, -0.14), _element(0.5, 0.55, 0.16, -0.1)])
+    return mesh.merge(
+        [_element(0.79, 1.52, 0.30, 0.06), _element(0.62, 1.16, 0.10, -0.14), _element(0.5, 0.55, 0.16, -0.1)]
+    )
 
 
-def barrel() -> Mesh:
+def barrel() -> mesh.Mesh:
     """Outside with its grip, mouth and floor of the camera lens."""
-    rib = revolve([(0.026, 0.0), (0.026, 0.1), (0.026, 0.5), (0.026, 0.56), (0.0, 0.58)], 12, 12)
+    rib = mesh.revolve([(0.026, 0.0), (0.026, 0.1), (0.026, 0.5), (0.026, 0.56), (0.0, 0.58)], 12, 12)
     angles = [2 * np.pi * number / _GRIP_RIBS for number in range(_GRIP_RIBS)]
     ribs = [rib.shifted(1.06 * np.cos(angle), 1.06 * np.sin(angle), 0.41) for angle in angles]
-    floor = revolve([(0.0, 0.3), (0.3, 0.3), (0.55, 0.3), (0.56, 0.35)], 64, 24)
-    return merge([revolve(_BARREL, 256, 320), revolve(_MOUTH, 192, 160).turned(), floor, *ribs])
+    floor = mesh.revolve([(0.0, 0.3), (0.3, 0.3), (0.55, 0.3), (0.56, 0.35)], 64, 24)
+    return mesh.merge([mesh.revolve(_BARREL, 256, 320), mesh.revolve(_MOUTH, 192, 160).turned(), floor, *ribs])
 
 
-def name_ring() -> Mesh:
+def name_ring() -> mesh.Mesh:
     """The ring round the front element, sloping inward; u to the right and v upward over it."""
-    ring = parametric(lambda u, v: on_circle(0.81 + 0.125 * v, u, 1.55 + 0.14 * v), 192, 8).facing_up()
+    ring = mesh.parametric(lambda u, v: mesh.on_circle(0.81 + 0.125 * v, u, 1.55 + 0.14 * v), 192, 8).facing_up()
     return ring.with_uv(0.5 + 0.5 * ring.vertices[:, :2] / 0.94)
 
 
@@ -291,13 +286,13 @@ def ring_print(rows: int = 1200) -> Array:
     return np.asarray(0.012 + 0.6 * np.asarray(image, dtype=float) / 255.0)
 
 
-def blades() -> Mesh:
+def blades() -> mesh.Mesh:
     """The stopped-down iris: a dark disc with a seven-sided opening."""
 
     def position(u: Array, v: Array) -> Array:
         side = 2 * np.pi / _APERTURE_BLADES
         along = np.mod(2 * np.pi * u, side)
         inner = 0.24 / np.cos(along - 0.5 * side)
-        return on_circle(inner + (0.56 - inner) * v, u, 0.74 + 0.02 * along / side * v)
+        return mesh.on_circle(inner + (0.56 - inner) * v, u, 0.74 + 0.02 * along / side * v)
 
-    return parametric(position, 280, 6).facing_up()
+    return mesh.parametric(position, 280, 6).facing_up()

@@ -3,15 +3,13 @@
 On all sheets u runs across and v upward. Drawings have their first row at the top.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.picture.filters import noise
+from nacre.picture.samples import noise
 from nacre.picture.shapes.mesh import Mesh, merge, on_circle, parametric, quad, rotation
 
 # banknote: drawing (in heights of the note), then geometry

@@ -1,7 +1,5 @@
 """Measured BRDFs of public databases: ALTA, MERL, UTIA."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

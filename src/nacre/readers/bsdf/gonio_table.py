@@ -5,8 +5,6 @@ or reflectance factors (pi times the BSDF); headings after a `#`. In-plane scans
 mirror direction from the data.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -21,30 +19,10 @@ from nacre.readers.bsdf.samples import measurement as as_measurement
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import LIKELY, FileHead
 from nacre.readers.text_table import rows
+from nacre.readers.units import VOCABULARY
 
 GAPS = ("", "nan", "-", "--", "n/a", "na", "#n/a", "null", "none")
-NAMES = {
-    "theta_i": ("thetai", "thetain", "thetal", "ti", "incidentangle", "incidenceangle", "angleofincidence", "aoi",
-                "incidence", "incident", "incidentzenith", "incidencezenith", "illuminationzenith", "zenithi",
-                "illuminationangle", "polari", "incidentpolar", "incidenttheta", "sourcezenith", "solarzenith",
-                "incidentzenithangle", "illuminationzenithangle", "sza"),
-    "phi_i": ("phii", "phiin", "phil", "pi", "incidentazimuth", "incidenceazimuth", "illuminationazimuth", "azimuthi",
-              "samplerotation", "sourceazimuth", "solarazimuth", "incidentazimuthangle", "saa"),
-    "theta_o": ("thetao", "thetaout", "thetas", "thetar", "thetav", "to", "tv", "tr", "measureangle", "measuredangle",
-                "viewangle", "viewingangle", "viewzenith", "viewingzenith", "viewerzenith", "observationzenith",
-                "observationangle", "scatterangle", "scatteringangle", "scatteredzenith", "detectionangle",
-                "detectorangle", "reflectionangle", "reflectedzenith", "exitangle", "zenitho", "aspecular", "vza",
-                "viewingzenithangle", "viewzenithangle", "receiverangle"),
-    "phi_o": ("phio", "phiout", "phis", "phir", "phiv", "po", "pv", "viewazimuth", "viewingazimuth", "vaa",
-              "observationazimuth", "scatterazimuth", "scatteredazimuth", "detectorazimuth", "reflectedazimuth",
-              "azimutho", "viewingazimuthangle"),
-    "dphi": ("dphi", "deltaphi", "relativeazimuth", "relazimuth", "raa", "azimuthdifference", "relativeazimuthangle"),
-    "wavelength": ("wavelength", "lambda", "wl", "wave"),
-    "bsdf": ("value", "bsdf", "brdf", "btdf", "f", "fr", "bsdfvalue", "brdfvalue"),
-    "factor": ("brf", "reflectancefactor", "panelbrf", "factor", "rf", "radiancefactor", "hcrf", "beta"),
-    "error": ("error", "sigma", "err", "std", "brdfstd", "bsdfstd", "btdfstd", "brdferror",
-              "bsdferror", "stdev", "uncertainty", "ubrdf", "ubsdf"),
-}  # fmt: skip
+NAMES = {name: tuple(words.split()) for name, words in VOCABULARY["goniometer"].items()}
 UNITS = {"deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "rad": "rad", "radian": "rad", "radians": "rad"}
 WAVE_UNITS = ("nm", "um", "µm", "μm")
 LONGEST = 200  # characters of a heading

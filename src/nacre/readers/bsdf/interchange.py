@@ -1,7 +1,5 @@
 """Interchange formats of scatter data: ASTM E1392, SSDD, universal BRDF (JSON), WINDOW XML."""
 
-from __future__ import annotations
-
 import json
 import re
 import xml.etree.ElementTree as ET
@@ -13,17 +11,8 @@ import numpy as np
 
 from nacre.core.arrays import Array, angles_deg
 from nacre.core.errors import NacreError
+from nacre.readers.bsdf import samples
 from nacre.readers.bsdf.ray_tracers import scatter_direction
-from nacre.readers.bsdf.samples import (
-    DEGREES,
-    measurement,
-    pairs_of,
-    pairs_of_half_angles,
-    read_bytes,
-    read_text,
-    unsigned,
-    wavelengths_in_nm,
-)
 from nacre.readers.bsdf.samples import measurement as as_measurement
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
@@ -49,7 +38,7 @@ def read_astm_e1392(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: the head or a row is invalid, or the row count contradicts NUM_POINTS.
     """
-    lines = read_text(path).splitlines()
+    lines = samples.read_text(path).splitlines()
     start = next((i for i, line in enumerate(lines) if _VARS.match(line)), None)
     if start is None:
         raise NacreError(f"{path}: has no line VARS=theta_i,phi_i,theta_s,phi_s,...")
@@ -66,8 +55,8 @@ def read_astm_e1392(path: Path, options: ReadOptions) -> list[Measurement]:
     )
     angles = table[:, :4] if is_degrees else np.degrees(table[:, :4])
     assumed = [f"angles are in {'degrees' if is_degrees else 'radians'} by their range"] if options.unit is None else []
-    theta_i, phi_i = unsigned(angles[:, 0], angles[:, 1])
-    theta_o, phi_o = unsigned(angles[:, 2], angles[:, 3])
+    theta_i, phi_i = samples.unsigned(angles[:, 0], angles[:, 1])
+    theta_o, phi_o = samples.unsigned(angles[:, 2], angles[:, 3])
     angles = np.stack([theta_i, phi_i, theta_o, phi_o], axis=-1)
     colour, waves, notes = _channels(path, names[4:])
     metadata = {"scatter": "btdf" if any("btdf" in n.lower() for n in names[4:]) else "brdf", "vars": names}
@@ -134,7 +123,7 @@ def read_ssdd(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: a block is incomplete or unknown.
     """
-    data, place = read_bytes(path, 8.0), 0
+    data, place = samples.read_bytes(path, 8.0), 0
     found: list[Measurement] = []
     entries: dict[str, str] = {}
     while place < len(data):
@@ -211,16 +200,16 @@ def _angles(kind: str, grids: list[Array], entries: dict[str, str], incidence: A
     """Return direction pairs in degrees."""
     first, second, third, fourth = grids
     if kind == "spherical_coordinate_system":
-        return pairs_of(first, second, third, fourth % 360.0)
+        return samples.pairs_of(first, second, third, fourth % 360.0)
     if kind == "half_difference_coordinate_system":
-        return pairs_of_half_angles(*(np.radians(g).ravel() for g in grids))
+        return samples.pairs_of_half_angles(*(np.radians(g).ravel() for g in grids))
     if kind != "specular_coordinate_system":
         raise ValueError(kind)
     offsets = [float(w) for w in entries.get("PARAM4_LIST", "").split()] or np.zeros(len(incidence))
     mirror = first + np.interp(first, incidence, offsets)
     # spherical coordinates turned to the mirror direction: azimuth 0 points from it towards the normal, 90 to +y
     out = angles_deg(scatter_direction(mirror, -fourth, third))
-    return pairs_of(first, second, out[..., 0], (out[..., 1] + second) % 360.0)
+    return samples.pairs_of(first, second, out[..., 0], (out[..., 1] + second) % 360.0)
 
 
 # Universal BRDF files (JSON of the BiRD and BxDiff projects): `data.variables` name the columns of `data.values`.
@@ -246,7 +235,7 @@ def read_brdf_json(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: not valid JSON, or variables are missing or not numbers.
     """
     try:
-        document = json.loads(read_text(path))
+        document = json.loads(samples.read_text(path))
         variables = document["data"]["variables"]
         rows, names = document["data"]["values"], [str(v["name"]) for v in variables]
         units = {name: str(v.get("unit", "")) for name, v in zip(names, variables, strict=True)}
@@ -255,18 +244,21 @@ def read_brdf_json(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(f"{path}: is not a universal BRDF file, or is damaged") from None
     place = {name.lower(): i for i, name in enumerate(names)}
     angles = np.stack([_column(path, rows, names, place, units, among) for among in BRDF_JSON_ANGLES], axis=-1)
-    theta_i, phi_i = unsigned(angles[:, 0], angles[:, 1])
-    theta_o, phi_o = unsigned(angles[:, 2], angles[:, 3])
+    theta_i, phi_i = samples.unsigned(angles[:, 0], angles[:, 1])
+    theta_o, phi_o = samples.unsigned(angles[:, 2], angles[:, 3])
     value = _column(path, rows, names, place, units, ("brdf", "btdf", "bsdf"))
     scatter = "btdf" if "btdf" in place else "brdf"
     metadata: dict[str, Any] = {"scatter": scatter, "variables": names, "head": head}
-    made = measurement(path, "brdf_json", np.stack([theta_i, phi_i, theta_o, phi_o], axis=-1), None, value[:, None],
-                       metadata, name=str(head.get("name", "")) if isinstance(head, dict) else "")  # fmt: skip
+    name = str(head.get("name", "")) if isinstance(head, dict) else ""
+    pairs = np.stack([theta_i, phi_i, theta_o, phi_o], axis=-1)
+    made = samples.measurement(path, "brdf_json", pairs, None, value[:, None], metadata, name=name)
     data, assumed = dict(made.data), list(made.assumed)
     wave = next((name for name in WAVES if name in place), None)
     if wave is not None:
         column = _column(path, rows, names, place, units, (wave,))
-        data["wavelength_nm"], notes = wavelengths_in_nm(path, column, units[names[place[wave]]].lower() or None)
+        data["wavelength_nm"], notes = samples.wavelengths_in_nm(
+            path, column, units[names[place[wave]]].lower() or None
+        )
         assumed += notes
     else:
         assumed.append("the file names no wavelength; one value stands for all")
@@ -275,7 +267,7 @@ def read_brdf_json(path: Path, options: ReadOptions) -> list[Measurement]:
         data["bsdf_error"] = _column(path, rows, names, place, units, (error,))
     used = {*sum(BRDF_JSON_ANGLES, ()), *WAVES, "brdf", "btdf", "bsdf", "ubrdf", "ubtdf", "ubsdf"}
     left = [f"variable {name} was not read" for name in names if name.lower() not in used]
-    ordered = {key: data[key] for key in (*DEGREES, "wavelength_nm", "bsdf", "bsdf_error") if key in data}
+    ordered = {key: data[key] for key in (*samples.DEGREES, "wavelength_nm", "bsdf", "bsdf_error") if key in data}
     return [Measurement(path, made.format, made.kind, ordered, made.name, made.metadata, tuple(assumed),
                         (*made.left_out, *left))]  # fmt: skip
 
@@ -322,7 +314,7 @@ def read_window_xml(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: not valid XML, a basis of another kind (tensor trees), or a matrix that does not fit its basis.
     """
-    text = read_text(path)
+    text = samples.read_text(path)
     text = text[max(text.find("<?xml"), 0) :]
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise NacreError(f"{path}: holds a document type declaration, which this format does not use")
@@ -380,10 +372,10 @@ def _block_window_xml(
     values = matrix if has_columns else matrix.T
     is_through = "transmission" in side.lower()
     theta_o = 180.0 - out.theta if is_through else out.theta
-    angles = pairs_of(incident.theta[None], incident.phi[None], theta_o[:, None], out.phi[:, None])
+    angles = samples.pairs_of(incident.theta[None], incident.phi[None], theta_o[:, None], out.phi[:, None])
     metadata = {"scatter": "btdf" if is_through else "brdf", "direction": side, "wavelength_range": label,
                 "shape": values.shape}  # fmt: skip
     assumed = ["azimuths of incident and outgoing patches are as the basis counts them",
                f"the values are means over the range {label or 'of the file'}"]  # fmt: skip
-    return measurement(path, "window_xml", angles, None, values.reshape(-1, 1), metadata,
+    return samples.measurement(path, "window_xml", angles, None, values.reshape(-1, 1), metadata,
                        name=f"{name} {label} {side}".strip(), assumed=assumed)  # fmt: skip

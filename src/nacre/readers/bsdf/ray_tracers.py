@@ -1,7 +1,5 @@
 """Scatter files of ray tracing programs: FRED, LightTools, TracePro, Zemax."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field

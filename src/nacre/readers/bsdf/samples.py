@@ -3,8 +3,6 @@
 Directions point away from the surface; azimuth differences of 0 mean retroreflection, 180 degrees the mirror side.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any

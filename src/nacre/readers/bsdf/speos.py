@@ -5,8 +5,6 @@ Lambertian, Gaussian, and the Gaussian's two full widths in degrees. Measured BS
 azimuth 0. BSDF180 holds two files, of the front and of the back; binary and encrypted files are refused.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """CGATS.17 and its relatives (ISO 28178, Argyll, ProfileMaker), and the text of iccDEV."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -4,8 +4,6 @@ Headings are x, y, Y, or R, G, B, or L*, a*, b* (L*, C*, h) beside columns of il
 names of CGATS.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """CxF/X-3 (ISO 17972-1): L*a*b*, XYZ, sRGB and reflectance spectra of objects, with their specifications."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as Xml

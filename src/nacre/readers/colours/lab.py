@@ -1,7 +1,5 @@
 """CIELAB of the colours in a file, under a wanted illuminant and observer."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path

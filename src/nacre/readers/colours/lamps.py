@@ -1,7 +1,5 @@
 """Spectra of lamps: IES TM-27 `.spdx`, UPRtek and Sekonic text."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from xml.etree import ElementTree as Xml

@@ -1,7 +1,5 @@
 """Colours without spectra: Adobe swatches, and palettes of sRGB as text."""
 
-from __future__ import annotations
-
 import colorsys
 import re
 import struct

@@ -1,7 +1,5 @@
 """n and k from the quantities of a table: dielectric function, absorption coefficient, signs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Optical constants in the files of optics programs and databases."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -6,8 +6,6 @@ degrees. `negative` has the opposite sign. In the two `shifted` conventions r_p 
 larger by 180 degrees.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Text files of ellipsometers: Accurion, Film Sense, Horiba, regress-pro, SpectraRay, nacre's CSV."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Sequence
@@ -145,15 +143,7 @@ def _data_set(
         if zone is None:
             notes.append("rows of one wavelength and angle are averaged")
     return ellipsometry(
-        path,
-        "accurion",
-        columns,
-        options,
-        maker="Accurion",
-        name=name,
-        metadata=metadata,
-        assumed=notes,
-        left_out=out,
+        path, "accurion", columns, options, maker="Accurion", name=name, metadata=metadata, assumed=notes, left_out=out
     )
 
 
@@ -231,10 +221,7 @@ def _dynamic(
     if not rows:
         raise NacreError(f"{path}: contains no rows of data")
     table = dict(zip(names, np.array(rows).T))
-    columns = {
-        "wavelength_nm": np.tile(wavelengths, len(rows)),
-        "time_s": np.repeat(table[names[0]], len(leds)),
-    }
+    columns = {"wavelength_nm": np.tile(wavelengths, len(rows)), "time_s": np.repeat(table[names[0]], len(leds))}
     for letter, name in (("N", "ncs_n"), ("C", "ncs_c"), ("S", "ncs_s"), ("P", "degree_of_polarisation")):
         if all(f"{led}_{letter}" in table for led in leds):
             columns[name] = np.stack([table[f"{led}_{letter}"] for led in leds], axis=1).ravel()
@@ -246,14 +233,7 @@ def _dynamic(
     metadata = {"leds": dict(zip(leds, wavelengths.tolist())), "times": len(rows)}
     assumed = ["the time is in seconds", "the LEDs have the wavelengths of the head in the same order"]
     return ellipsometry(
-        path,
-        "film-sense",
-        columns,
-        options,
-        maker="Film Sense",
-        metadata=metadata,
-        assumed=assumed,
-        left_out=left_out,
+        path, "film-sense", columns, options, maker="Film Sense", metadata=metadata, assumed=assumed, left_out=left_out
     )
 
 

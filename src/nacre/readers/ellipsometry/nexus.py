@@ -4,8 +4,6 @@ Older draft: `sample/measured_data` [1, 1, angle, psi or delta, wavelength]; lat
 [angle, psi or delta, wavelength]. Units come from the attribute `units`; a wavelength without one is in angstrom.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Woollam WVASE and CompleteEASE: data files and text exports."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Gwyddion's files: native (.gwy), ASCII matrix, and Simple Field (.gsf)."""
 
-from __future__ import annotations
-
 import re
 import struct
 from pathlib import Path
@@ -10,20 +8,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.errors import NacreError
-from nacre.readers.heights.surface import (
-    array,
-    asked_pitch,
-    asked_unit,
-    check_end,
-    check_shape,
-    chosen,
-    decoded,
-    height_map,
-    length_um,
-    numbers,
-    quantity_um,
-    reads,
-)
+from nacre.readers.heights import surface
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
@@ -86,7 +71,7 @@ class _Tree:
         return [self.text() if kind == "S" else self.object(depth + 1) for _ in range(count)]
 
 
-@reads
+@surface.reads
 def read_gwy(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the channels that are lengths; masked points are not taken away, since masks mark features too."""
     data = path.read_bytes()
@@ -97,19 +82,19 @@ def read_gwy(path: Path, options: ReadOptions) -> list[Measurement]:
         field = root[key]
         name = str(root.get(f"{key}/title", f"channel {number}"))
         units = [str(field.get(f"si_unit_{axis}", {}).get("unitstr", "")) for axis in ("xy", "z")]
-        if units[1] and length_um(units[1]) is None:
+        if units[1] and surface.length_um(units[1]) is None:
             others.append(f'"{name}" in {units[1]}')
             continue
-        lateral, vertical = (length_um(u) if u else asked_unit(path, options) for u in units)
+        lateral, vertical = (surface.length_um(u) if u else surface.asked_unit(path, options) for u in units)
         if lateral is None or vertical is None:
             others.append(f'"{name}" over {units[0]}')
             continue
         shape = int(field["yres"]), int(field["xres"])
-        check_shape(shape)
+        surface.check_shape(shape)
         heights = np.asarray(field["data"], dtype=float).reshape(shape) * vertical
         pitch = abs(field["xreal"]) / shape[1] * lateral, abs(field["yreal"]) / shape[0] * lateral
-        maps.append(height_map(path, "gwy", heights, pitch, name))
-    return chosen(path, maps, others, options)
+        maps.append(surface.height_map(path, "gwy", heights, pitch, name))
+    return surface.chosen(path, maps, others, options)
 
 
 # Gwyddion's ASCII matrix, in any language: remarks with the channel, width, height and the unit of the values.
@@ -130,18 +115,18 @@ def _remarks(lines: list[str]) -> list[tuple[str, str]]:
 
 def sniff_gwyddion_text(head: FileHead) -> float:
     """Return 1 for remarks of which two are lengths, the map's size."""
-    remarks = _remarks(decoded(head.data).splitlines()[:8])
+    remarks = _remarks(surface.decoded(head.data).splitlines()[:8])
     return CERTAIN if 3 <= len(remarks) <= 6 and sum(_is_length(v) for _, v in remarks) == 2 else 0.0
 
 
 def _is_length(text: str) -> bool:
     try:
-        return bool(SIZE.match(text)) and quantity_um(text) > 0
+        return bool(SIZE.match(text)) and surface.quantity_um(text) > 0
     except ValueError:
         return False
 
 
-@reads
+@surface.reads
 def read_gwyddion_text(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read all blocks' maps; remarks are taken by their order, since Gwyddion translates their names.
 
@@ -149,29 +134,29 @@ def read_gwyddion_text(path: Path, options: ReadOptions) -> list[Measurement]:
         AmbiguousFileError: a block names no unit of its values.
         NacreError: rows differ in their length, or no block holds lengths.
     """
-    text = decoded(path.read_bytes())
-    check_end(text, path)
+    text = surface.decoded(path.read_bytes())
+    surface.check_end(text, path)
     maps: list[Measurement] = []
     others: list[str] = []
     for lines in _blocks(text.splitlines()):
         remarks = _remarks(lines)
-        width, height = (quantity_um(v) for _, v in remarks if _is_length(v))
+        width, height = (surface.quantity_um(v) for _, v in remarks if _is_length(v))
         texts = [v for _, v in remarks if not _is_length(v)]
         name, unit = (texts[0] if texts else ""), (texts[-1] if len(texts) > 1 else "")
         rows = [line for line in lines[len(remarks) :] if line.strip() and not line.startswith("#")]
-        values = numbers("\n".join(rows) + "\n", path)
-        columns = len(numbers(rows[0] + "\n" if rows else "", path))
+        values = surface.numbers("\n".join(rows) + "\n", path)
+        columns = len(surface.numbers(rows[0] + "\n" if rows else "", path))
         if not columns or values.size != columns * len(rows):
             raise NacreError(f"{path}: its rows hold different numbers of heights")
-        factor = length_um(unit) if unit else asked_unit(path, options)
+        factor = surface.length_um(unit) if unit else surface.asked_unit(path, options)
         if factor is None:
             others.append(f'"{name}" in {unit}')
             continue
         pitch = width / columns, height / len(rows)
         left = [f"channel {other}" for other in others]
         heights = values.reshape(len(rows), columns) * factor
-        maps.append(height_map(path, "gwyddion-text", heights, pitch, name, left_out=left))
-    return chosen(path, maps, others, options)
+        maps.append(surface.height_map(path, "gwyddion-text", heights, pitch, name, left_out=left))
+    return surface.chosen(path, maps, others, options)
 
 
 def _blocks(lines: list[str]) -> list[list[str]]:
@@ -197,7 +182,7 @@ def sniff_gsf(head: FileHead) -> float:
     return CERTAIN if head.data.startswith(GSF_MAGIC) else 0.0
 
 
-@reads
+@surface.reads
 def read_gsf(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; units that the head lacks are asked for."""
     data = path.read_bytes()
@@ -206,15 +191,15 @@ def read_gsf(path: Path, options: ReadOptions) -> list[Measurement]:
     keys = {name.strip(): value.strip() for name, _, value in (line.partition("=") for line in lines)}
     shape = int(keys["YRes"]), int(keys["XRes"])
     units = [keys.get(name, "") for name in ("XYUnits", "ZUnits")]
-    factors = [length_um(unit) if unit else None for unit in units]
+    factors = [surface.length_um(unit) if unit else None for unit in units]
     if any(unit and factor is None for unit, factor in zip(units, factors, strict=True)):
         raise NacreError(f"{path}: is a map of {units[1] or '?'} over {units[0] or '?'}; heights are lengths")
-    vertical = asked_unit(path, options) if factors[1] is None else factors[1]
+    vertical = surface.asked_unit(path, options) if factors[1] is None else factors[1]
     sides = [float(keys.get(name, 1.0)) for name in ("XReal", "YReal")]
     lateral = factors[0]
     pitch = (
-        asked_pitch(path, options) if lateral is None
+        surface.asked_pitch(path, options) if lateral is None
         else (sides[0] * lateral / shape[1], sides[1] * lateral / shape[0])
     )  # fmt: skip
-    heights = array(data, "<f4", shape, end + 4 - end % 4).astype(float) * vertical
-    return [height_map(path, "gsf", heights, pitch, keys.get("Title", ""))]
+    heights = surface.array(data, "<f4", shape, end + 4 - end % 4).astype(float) * vertical
+    return [surface.height_map(path, "gsf", heights, pitch, keys.get("Title", ""))]

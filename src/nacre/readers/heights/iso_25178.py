@@ -1,7 +1,5 @@
 """The exchange formats of ISO 25178: surface data (part 71, .sdf) and X3P (part 72)."""
 
-from __future__ import annotations
-
 import struct
 import zipfile
 from pathlib import Path, PurePosixPath

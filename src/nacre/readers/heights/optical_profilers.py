@@ -1,7 +1,5 @@
 """Maps of optical profilers and laser microscopes, in formats of makers."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re
@@ -16,17 +14,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.readers.heights.surface import (
-    array,
-    check_end,
-    check_shape,
-    chosen,
-    decoded,
-    height_map,
-    length_um,
-    numbers,
-    reads,
-)
+from nacre.readers.heights import surface
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
@@ -56,20 +44,20 @@ def _tags(data: bytes) -> dict[str, str]:
     return found
 
 
-@reads
+@surface.reads
 def read_al3d(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the depth image; its rows are padded to multiples of 8 bytes."""
     data = path.read_bytes()
     tags = _tags(data)
     columns, rows = int(tags["Cols"]), int(tags["Rows"])
-    raw = array(data, "<f4", (rows, columns + columns % 2), int(tags["DepthImageOffset"]))[:, :columns]
+    raw = surface.array(data, "<f4", (rows, columns + columns % 2), int(tags["DepthImageOffset"]))[:, :columns]
     marker = float(tags.get("InvalidPixelValue", "nan"))
     heights = raw.astype(float)
     heights[np.abs(raw - marker) < SAME * abs(marker)] = np.nan
     pitch = float(tags["PixelSizeXMeter"]) * 1e6, float(tags["PixelSizeYMeter"]) * 1e6
     left = ["texture image"] if int(tags.get("TextureImageOffset", 0)) else []
     facts = {"instrument": tags.get("CreatingApplication", "")}
-    return [height_map(path, "al3d", heights * 1e6, pitch, metadata=facts, left_out=left)]
+    return [surface.height_map(path, "al3d", heights * 1e6, pitch, metadata=facts, left_out=left)]
 
 
 # Digital Surf .sur files of MountainsMap; compressed ones hold streams of deflate below a table of their sizes.
@@ -84,7 +72,7 @@ def sniff_sur(head: FileHead) -> float:
     return CERTAIN if head.data.startswith(MAGICS) else 0.0
 
 
-@reads
+@surface.reads
 def read_sur(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; z = raw step + offset, with holes at the lowest raw value less 2."""
     data = path.read_bytes()
@@ -100,21 +88,21 @@ def read_sur(path: Path, options: ReadOptions) -> list[Measurement]:
     comment, private = struct.unpack_from("<2H", data, COMMENT)
     (offset,) = struct.unpack_from("<f", data, OFFSET)
     start = HEAD_BYTES + comment + private
-    check_shape((rows, columns))
+    surface.check_shape((rows, columns))
     if data.startswith(MAGICS[1]):
         data, start = _inflated(data, start, rows * columns * bits // 8), 0
-    raw = array(data, "<i2" if bits == 16 else "<i4", (rows, columns), start)
+    raw = surface.array(data, "<i2" if bits == 16 else "<i4", (rows, columns), start)
     heights = raw.astype(float)
     if special == 1:
         heights[raw == low - 2] = np.nan
-    factors = [length_um(unit) for unit in units]
+    factors = [surface.length_um(unit) for unit in units]
     if None in factors:
         raise NacreError(f"{path}: its axes are in {', '.join(units)}; heights and positions are lengths")
     x, y, z = (float(f or 0.0) for f in factors)
     heights *= step_z * z * (-1.0 if inversion in (1, 2, 3) else 1.0)
     heights = heights[:, ::-1] if inversion == 2 else heights[::-1] if inversion == 3 else heights
     facts = {"instrument": instrument, "height_offset_um": offset * z}
-    return [height_map(path, "sur", heights, (step_x * x, step_y * y), metadata=facts)]
+    return [surface.height_map(path, "sur", heights, (step_x * x, step_y * y), metadata=facts)]
 
 
 def _inflated(data: bytes, start: int, expected: int) -> bytes:
@@ -157,7 +145,7 @@ def sniff_keyence(head: FileHead) -> float:
     return CERTAIN if DATE.match(text) and CALIBRATION.search(text) else 0.0
 
 
-@reads
+@surface.reads
 def read_keyence(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read a binary file's maps, or a CSV file's one."""
     data = path.read_bytes()
@@ -167,7 +155,7 @@ def read_keyence(path: Path, options: ReadOptions) -> list[Measurement]:
                 raise ValueError(f"{MEMBER} is larger than {MAX_BYTES >> 30} GiB")
             data = archive.read(MEMBER)
     if not data.startswith(PLAIN):
-        return [_csv(path, decoded(data))]
+        return [_csv(path, surface.decoded(data))]
     offsets = struct.unpack_from("<9I", data, OFFSETS)
     x, y, z = struct.unpack_from("<3I", data, offsets[0] + LATERAL)
     maps = []
@@ -176,9 +164,9 @@ def read_keyence(path: Path, options: ReadOptions) -> list[Measurement]:
             columns, rows, bits = struct.unpack_from("<3I", data, at)
             if bits not in (8, 16, 32):
                 raise ValueError(f"heights of {bits} bits")
-            raw = array(data, f"<u{bits // 8}", (rows, columns), at + PALETTE)
-            maps.append(height_map(path, "keyence", raw * (z * 1e-6), (x * 1e-6, y * 1e-6), f"height {number}"))
-    return chosen(path, maps, [], options)
+            raw = surface.array(data, f"<u{bits // 8}", (rows, columns), at + PALETTE)
+            maps.append(surface.height_map(path, "keyence", raw * (z * 1e-6), (x * 1e-6, y * 1e-6), f"height {number}"))
+    return surface.chosen(path, maps, [], options)
 
 
 def _csv(path: Path, text: str) -> Measurement:
@@ -193,8 +181,8 @@ def _csv(path: Path, text: str) -> Measurement:
     calibration = next((value for key, value in keys.items() if CALIBRATION.match(key)), [])
     if not calibration:
         raise ValueError("its head lacks the values of XY Calibration")
-    lateral = length_um((calibration[1] if len(calibration) > 1 else "").split("/")[0])
-    vertical = length_um(next((value[0] for key, value in keys.items() if key == "unit"), ""))
+    lateral = surface.length_um((calibration[1] if len(calibration) > 1 else "").split("/")[0])
+    vertical = surface.length_um(next((value[0] for key, value in keys.items() if key == "unit"), ""))
     if lateral is None or vertical is None:
         raise ValueError("its head lacks the unit of XY Calibration or of the heights")
     cells = [[c for c in row if c] for row in rows if len(row) > 1 and _is_number(row[0])]
@@ -203,7 +191,7 @@ def _csv(path: Path, text: str) -> Measurement:
     if heights.ndim != 2 or any(s and int(s[0]) != n for s, n in zip(stated, heights.shape)):
         raise ValueError(f"its rows do not hold {' x '.join(s[0] for s in stated if s)} heights")
     step = float(calibration[0].replace(",", ".")) * lateral
-    return height_map(path, "keyence", heights * vertical, (step, step))
+    return surface.height_map(path, "keyence", heights * vertical, (step, step))
 
 
 def _is_number(cell: str) -> bool:
@@ -329,7 +317,7 @@ class _Items:
         return True
 
 
-@reads
+@surface.reads
 def read_opdx(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the maps; extents reach from the first point to the last."""
     data = path.read_bytes()
@@ -344,17 +332,17 @@ def read_opdx(path: Path, options: ReadOptions) -> list[Measurement]:
         prefix = f"/2D_Data/{name}"
         start, rows, columns = found[f"{prefix}/Matrix"]
         scale, unit = found[f"{prefix}/DataScale"]
-        factor = length_um(unit)
+        factor = surface.length_um(unit)
         if factor is None:
             others.append(f'"{name}" in {unit}')
             continue
         pitch = []
         for axis, count in ((2, columns), (1, rows)):
             extent, symbol = found[f"{prefix}/Dimension{axis}Extent"]
-            pitch.append(extent * (length_um(symbol) or 0.0) / max(count - 1, 1))
-        raw = array(data, "<f4", (rows, columns), start)
-        maps.append(height_map(path, "opdx", raw.astype(float) * scale * factor, (pitch[0], pitch[1]), name))
-    return chosen(path, maps, others, options)
+            pitch.append(extent * (surface.length_um(symbol) or 0.0) / max(count - 1, 1))
+        raw = surface.array(data, "<f4", (rows, columns), start)
+        maps.append(surface.height_map(path, "opdx", raw.astype(float) * scale * factor, (pitch[0], pitch[1]), name))
+    return surface.chosen(path, maps, others, options)
 
 
 # Wyko Vision files: binary .opd with a directory of blocks, and their ASCII export (.asc).
@@ -376,7 +364,7 @@ def sniff_wyko(head: FileHead) -> float:
     return CERTAIN if head.data.startswith(WYKO_MAGIC) or TEXT.match(head.text[:200]) else 0.0
 
 
-@reads
+@surface.reads
 def read_wyko(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the height maps; other arrays, such as intensities, are left out."""
     data = path.read_bytes()
@@ -384,8 +372,8 @@ def read_wyko(path: Path, options: ReadOptions) -> list[Measurement]:
         fields, arrays = _binary(data)
         factor = fields["Wavelength"] / fields.get("Mult", 1.0)
     else:
-        text = decoded(data)
-        check_end(text, path)
+        text = surface.decoded(data)
+        surface.check_end(text, path)
         fields, arrays = _ascii(path, text)
         found = TEXT.match(text)
         is_nm = found is not None and found[1] != "0"
@@ -395,10 +383,10 @@ def read_wyko(path: Path, options: ReadOptions) -> list[Measurement]:
     others = [f'"{name}"' for name in arrays if name not in HEIGHTS]
     left = [f"array {name}: no height" for name in others]
     maps = [
-        height_map(path, "wyko", values.T[::-1] * factor * 1e-3, pitch, name, left_out=left)
+        surface.height_map(path, "wyko", values.T[::-1] * factor * 1e-3, pitch, name, left_out=left)
         for name, values in arrays.items() if name in HEIGHTS
     ]  # fmt: skip
-    return chosen(path, maps, others, options)
+    return surface.chosen(path, maps, others, options)
 
 
 def _name(raw: bytes) -> str:
@@ -421,7 +409,7 @@ def _binary(data: bytes) -> tuple[dict[str, float], dict[str, Array]]:
         elif kind == ARRAY and length:
             columns, rows, width = struct.unpack_from("<3H", data, at)
             if width in NUMBERS:
-                values = array(data, NUMBERS[width], (columns, rows), at + 6).astype(float)
+                values = surface.array(data, NUMBERS[width], (columns, rows), at + 6).astype(float)
                 values[values >= HOLES[width]] = np.nan
                 arrays[name] = values
         at += length
@@ -441,9 +429,9 @@ def _ascii(path: Path, text: str) -> tuple[dict[str, float], dict[str, Array]]:
             fields[cells[0]] = float(cells[1])
         elif len(cells) > 2 and cells[1] == str(ARRAY):
             shape = int(fields["X Size"]), int(fields["Y Size"])
-            check_shape(shape)
+            surface.check_shape(shape)
             rows = lines[place : place + shape[0]]
-            values: Any = numbers(re.sub(r"\bBad\b", "nan", "\n".join(rows)) + "\n", path)
+            values: Any = surface.numbers(re.sub(r"\bBad\b", "nan", "\n".join(rows)) + "\n", path)
             if values.size != shape[0] * shape[1]:
                 raise ValueError(f"{cells[0]} holds {values.size} values, not {shape[0]} x {shape[1]}")
             arrays[cells[0]] = values.reshape(shape)
@@ -464,11 +452,11 @@ def sniff_tmd(head: FileHead) -> float:
     return CERTAIN if head.data.startswith(TMD_MAGIC) else 0.0
 
 
-@reads
+@surface.reads
 def read_tmd(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map after a comment that ends in a zero byte."""
     data = path.read_bytes()
     start = data.index(b"\0", 32) + 1
     columns, rows, width, height, _, _ = TMD_HEAD.unpack_from(data, start)
-    raw = array(data, "<f4", (rows, columns), start + TMD_HEAD.size)
-    return [height_map(path, "tmd", raw.astype(float) * 1e3, (width / columns * 1e3, height / rows * 1e3))]
+    raw = surface.array(data, "<f4", (rows, columns), start + TMD_HEAD.size)
+    return [surface.height_map(path, "tmd", raw.astype(float) * 1e3, (width / columns * 1e3, height / rows * 1e3))]

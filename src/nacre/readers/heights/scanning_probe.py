@@ -1,7 +1,5 @@
 """Maps of scanning probe microscopes, in the formats of makers and of their programs."""
 
-from __future__ import annotations
-
 import logging
 import re
 import struct

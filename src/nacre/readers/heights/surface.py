@@ -1,7 +1,5 @@
 """What all readers of height maps share: length units, checks, channels, and the measurement they return."""
 
-from __future__ import annotations
-
 import functools
 import re
 import struct

@@ -1,7 +1,5 @@
 """Heights as plain text: matrices, points, and tables of nacre; line profiles are refused."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -10,18 +8,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.readers.heights.surface import (
-    asked_pitch,
-    asked_unit,
-    check_end,
-    check_shape,
-    decoded,
-    height_map,
-    length_um,
-    numbers,
-    quantity_um,
-    reads,
-)
+from nacre.readers.heights import surface
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, POSSIBLE, FileHead
 
@@ -35,7 +22,7 @@ def sniff_nacre_heights(head: FileHead) -> float:
     return CERTAIN if head.lines and START.match(head.lines[0]) else 0.0
 
 
-@reads
+@surface.reads
 def read_nacre_heights(path: Path, options: ReadOptions) -> list[Measurement]:
     """Return the heights as a picture, x to the right and y upward.
 
@@ -46,19 +33,19 @@ def read_nacre_heights(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: rows of different lengths.
         AmbiguousFileError: the side of a feature is not known.
     """
-    text = decoded(path.read_bytes())
-    check_end(text, path)
+    text = surface.decoded(path.read_bytes())
+    surface.check_end(text, path)
     head, *rows = [line for line in text.splitlines() if line.strip()]
     width = len(rows[0].split(",")) if rows else 0
-    values = numbers("\n".join(rows) + "\n", path)
+    values = surface.numbers("\n".join(rows) + "\n", path)
     if not width or values.size != width * len(rows):
         raise NacreError(f"{path}: its rows hold different numbers of heights")
-    check_shape((width, len(rows)))
+    surface.check_shape((width, len(rows)))
     stated = START.match(head)
     feature_um = float(stated[1]) if stated and stated[1] else _described(path)
-    pitch = (feature_um, feature_um) if feature_um else asked_pitch(path, options)
+    pitch = (feature_um, feature_um) if feature_um else surface.asked_pitch(path, options)
     picture = values.reshape(len(rows), width).T[::-1]
-    return [height_map(path, "nacre-heights", picture, pitch, metadata={"is_period": True})]
+    return [surface.height_map(path, "nacre-heights", picture, pitch, metadata={"is_period": True})]
 
 
 def _described(path: Path) -> float | None:
@@ -82,32 +69,32 @@ def sniff_holography(head: FileHead) -> float:
     return CERTAIN if len(lines) > 1 and SIZE.match(lines[0]) and "pixel size" in lines[1] else 0.0
 
 
-@reads
+@surface.reads
 def read_holography(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; h is the row count, w the column count."""
-    text = decoded(path.read_bytes())
-    check_end(text, path)
+    text = surface.decoded(path.read_bytes())
+    surface.check_end(text, path)
     lines = text.splitlines()
     size = SIZE.match(lines[0])
     assert size is not None
     shape = int(size[1]), int(size[2])
-    check_shape(shape)
+    surface.check_shape(shape)
     head = [line for line in lines[1:6] if "=" in line]
     fields = dict(line.split("=", 1) for line in head)
-    pitch = quantity_um(fields["pixel size"])
+    pitch = surface.quantity_um(fields["pixel size"])
     unit = fields.get("data unit", "").strip()
-    factor = length_um(unit)
+    factor = surface.length_um(unit)
     if factor is None:
         found = next((m for line in head if (m := FACTOR.search(line))), None)
-        named = length_um(found[1]) if found else None
+        named = surface.length_um(found[1]) if found else None
         if found is None or named is None:
             raise NacreError(f"{path}: gives heights in {unit or 'no unit'} without a factor to metres")
         factor = float(found[2]) * named
-    values = numbers("\n".join(lines[1 + len(head) :]) + "\n", path)
+    values = surface.numbers("\n".join(lines[1 + len(head) :]) + "\n", path)
     if values.size != shape[0] * shape[1]:
         raise ValueError(f"its head states {shape[0]} x {shape[1]} heights, and {values.size} follow")
     facts = {"unit_in_file": unit, "um_per_unit": factor}
-    return [height_map(path, "holography", values.reshape(shape) * factor, (pitch, pitch), metadata=facts)]
+    return [surface.height_map(path, "holography", values.reshape(shape) * factor, (pitch, pitch), metadata=facts)]
 
 
 # Points x y z of a rectangular grid as text, in any order.
@@ -126,7 +113,7 @@ def _parts(text: str) -> tuple[str, list[str]]:
     while lines and not re.match(r"\s*[-+.\d]", lines[0]):
         line = lines.pop(0)
         cells = re.split(r"[\s,;]+", line.strip(" \t#"))
-        are_units = bool(heading) and len(cells) == 3 and all(length_um(cell) is not None for cell in cells)
+        are_units = bool(heading) and len(cells) == 3 and all(surface.length_um(cell) is not None for cell in cells)
         # a unit line below the names
         heading = f"{heading} {' '.join(f'({cell})' for cell in cells)}" if are_units else line
     return heading, lines
@@ -136,12 +123,12 @@ def sniff_xyz(head: FileHead) -> float:
     """Return a fair confidence for three columns with a heading x, y, z or with two columns on a grid."""
     if b"\0" in head.data[:4096]:
         return 0.0
-    heading, rows = _parts(decoded(head.data))
+    heading, rows = _parts(surface.decoded(head.data))
     if heading and not XYZ_HEADING.match(heading):
         return 0.0
     rows = rows[:-1] if len(head.data) < head.size else rows
     try:
-        values = numbers("\n".join(rows[:4000]) + "\n", head.path)
+        values = surface.numbers("\n".join(rows[:4000]) + "\n", head.path)
     except NacreError:
         return 0.0
     rows = rows[:4000]
@@ -160,7 +147,7 @@ def sniff_xyz(head: FileHead) -> float:
     return LIKELY if is_line else 0.0
 
 
-@reads
+@surface.reads
 def read_xyz(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read points on a grid; missing ones are holes. Rows run along y, ascending.
 
@@ -168,16 +155,16 @@ def read_xyz(path: Path, options: ReadOptions) -> list[Measurement]:
         AmbiguousFileError: the file names no unit and none is given.
         NacreError: the points are on no grid.
     """
-    text = decoded(path.read_bytes())
-    check_end(text, path)
+    text = surface.decoded(path.read_bytes())
+    surface.check_end(text, path)
     heading, rows = _parts(text)
-    values = numbers("\n".join(rows) + "\n", path)
+    values = surface.numbers("\n".join(rows) + "\n", path)
     if values.size != 3 * len(rows) or not rows:
         raise NacreError(f"{path}: its rows do not all hold x, y and z")
     x, y, z = values.reshape(-1, 3).T
     named = _units(heading)
     missing_units = [axis for axis, unit in zip("xyz", named, strict=True) if unit is None]
-    asked = asked_unit(path, options, " and ".join(missing_units)) if missing_units else 1.0
+    asked = surface.asked_unit(path, options, " and ".join(missing_units)) if missing_units else 1.0
     factors = [asked if unit is None else unit for unit in named]
     column, columns, dx = _places(x, path)
     row, count, dy = _places(y, path)
@@ -190,17 +177,19 @@ def read_xyz(path: Path, options: ReadOptions) -> list[Measurement]:
     missing = int(np.isnan(heights).sum())
     assumed = [f"{missing} of {heights.size} points of the grid are not in the file and are holes"] if missing else []
     pitch = dx * factors[0], dy * factors[1]
-    return [height_map(path, "xyz", heights * factors[2], pitch, metadata={"rows": "y ascending"}, assumed=assumed)]
+    return [
+        surface.height_map(path, "xyz", heights * factors[2], pitch, metadata={"rows": "y ascending"}, assumed=assumed)
+    ]
 
 
 def _units(heading: str) -> list[float | None]:
     """Return the unit of x, y and z in um, None where the heading states none."""
-    found = [length_um(unit) for unit in UNIT.findall(heading)]
+    found = [surface.length_um(unit) for unit in UNIT.findall(heading)]
     cells = [cell for cell in re.split(r"[\t,;]+|\s{2,}", heading.strip()) if cell.strip()]
     if len(found) == 3 or len(cells) != 3:
         return found if len(found) == 3 else [None] * 3
     each = [UNIT.search(cell) for cell in cells]
-    return [length_um(match[1]) if match else None for match in each]
+    return [surface.length_um(match[1]) if match else None for match in each]
 
 
 def _places(values: Array, path: Path) -> tuple[np.ndarray, int, float]:
@@ -251,11 +240,11 @@ def sniff_matrix(head: FileHead) -> float:
     """Return a low confidence for rows of equally many numbers, lower if the first column rises as an abscissa."""
     if b"\0" in head.data[:4096]:
         return 0.0
-    rows = _rows(decoded(head.data))[:9]
+    rows = _rows(surface.decoded(head.data))[:9]
     is_cut = len(head.data) < head.size
     rows = rows[:-1] if is_cut and len(rows) < 9 and len(rows) > 1 else rows
     try:
-        values = [numbers(row + "\n", head.path) for row in rows]
+        values = [surface.numbers(row + "\n", head.path) for row in rows]
     except NacreError:
         return 0.0
     columns = len(values[0]) if values else 0
@@ -276,29 +265,29 @@ def sniff_matrix(head: FileHead) -> float:
     return 0.5 * POSSIBLE if rises else 1.5 * POSSIBLE
 
 
-@reads
+@surface.reads
 def read_matrix(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the matrix with the unit and the pitch of the options.
 
     Raises:
         AmbiguousFileError: one of them is not given.
     """
-    text = decoded(path.read_bytes())
-    check_end(text, path)
+    text = surface.decoded(path.read_bytes())
+    surface.check_end(text, path)
     rows = _rows(text)
-    columns = len(numbers(rows[0] + "\n" if rows else "", path))
-    values = numbers("\n".join(rows) + "\n", path)
+    columns = len(surface.numbers(rows[0] + "\n" if rows else "", path))
+    values = surface.numbers("\n".join(rows) + "\n", path)
     if not columns or values.size != columns * len(rows):
         raise NacreError(f"{path}: its rows hold different numbers of heights")
-    check_shape((len(rows), columns))
+    surface.check_shape((len(rows), columns))
     values = values.reshape(len(rows), columns)
-    steps, factor = _coordinate_steps(values), asked_unit(path, options)
+    steps, factor = _coordinate_steps(values), surface.asked_unit(path, options)
     if steps is None:
-        return [height_map(path, "matrix", values * factor, asked_pitch(path, options))]
+        return [surface.height_map(path, "matrix", values * factor, surface.asked_pitch(path, options))]
     said = f"the first row and column are coordinates in steps of {steps[0]:g} and {steps[1]:g}"
     if options.pitch_um is None:
         raise AmbiguousFileError(f"{path}: {said} without a unit; state the steps in um: pitch_um", "pitch_um")
-    return [height_map(path, "matrix", values[1:, 1:] * factor, options.pitch_um, left_out=[said])]
+    return [surface.height_map(path, "matrix", values[1:, 1:] * factor, options.pitch_um, left_out=[said])]
 
 
 # Line profiles of stylus instruments, which are no height maps: recognised in order to be refused by name.
@@ -320,14 +309,14 @@ def sniff_profile(head: FileHead) -> float:
     """Return a fair confidence for lateral positions and heights under such a heading, or in metres from 0."""
     if b"\0" in head.data[:4096]:
         return 0.0
-    lines = [line for line in decoded(head.data).splitlines() if line.strip()]
+    lines = [line for line in surface.decoded(head.data).splitlines() if line.strip()]
     if lines and PROFILE_HEADING.match(lines[0]) and not THREE.match(lines[1] if len(lines) > 1 else ""):
         return LIKELY
     if any(DEEPER.match(line) for line in lines[1:100]):
         return LIKELY
     rows = lines[:200]
     try:
-        values = numbers("\n".join(rows) + "\n", head.path)
+        values = surface.numbers("\n".join(rows) + "\n", head.path)
     except NacreError:
         return 0.0
     if len(rows) < 10 or values.size != 2 * len(rows):
@@ -337,7 +326,7 @@ def sniff_profile(head: FileHead) -> float:
     return LIKELY if is_even and values[0] == 0.0 and values[-2] < LARGEST_M else 0.0
 
 
-@reads
+@surface.reads
 def read_profile(path: Path, options: ReadOptions) -> list[Measurement]:
     """Refuse the profile.
 

@@ -1,7 +1,5 @@
 """Zygo's maps: MetroPro binary (.dat) and text, Mx (.datx)."""
 
-from __future__ import annotations
-
 import re
 import struct
 from pathlib import Path

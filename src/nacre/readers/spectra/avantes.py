@@ -1,7 +1,5 @@
 """Avantes AvaSoft: text exports and binary files (RFL8, TRM, ROH, ABS)."""
 
-from __future__ import annotations
-
 import re
 import struct
 from pathlib import Path

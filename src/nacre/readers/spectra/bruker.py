@@ -1,7 +1,5 @@
 """Bruker: OPUS files and data point tables (.dpt)."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Text, numbers, quantities and units in files of spectrometers."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Galactic GRAMS `.spc`, new (0x4B, 0x4C) and old (0x4D): evenly spaced, common or own abscissae, several spectra."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """JASCO Spectra Manager: text exports and .jws files, which are OLE compound files."""
 
-from __future__ import annotations
-
 import re
 import struct
 from pathlib import Path

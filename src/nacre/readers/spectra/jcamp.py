@@ -1,7 +1,5 @@
 """JCAMP-DX 4.24 to 6: tables of pairs, evenly spaced ordinates in all compressed forms, and linked blocks."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from pathlib import Path

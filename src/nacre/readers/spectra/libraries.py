@@ -1,7 +1,5 @@
 """Spectral libraries: USGS (splib07) and ASTER or ECOSTRESS."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Ocean Optics: text of OOIBase32, SpectraSuite, OceanView and Jaz, and ProcSpec archives."""
 
-from __future__ import annotations
-
 import re
 import zipfile
 from pathlib import Path

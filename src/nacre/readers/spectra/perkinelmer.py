@@ -1,7 +1,5 @@
 """PerkinElmer: UV WinLab text and .sp files."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Text files of portable and small spectrometers: ASD, LI-COR, Spectra Vista, StellarNet, CRAIC."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Datacolor QTX (.qtx): reflectances of standards and batches as `STD_R=` or `BAT_R=` with their first wavelength."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

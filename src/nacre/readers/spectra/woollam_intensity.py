@@ -1,7 +1,5 @@
 """Woollam text of reflected and transmitted intensity: rows led by uR, uT, pR, sR, pT or sT."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -19,17 +19,8 @@ from scipy.spatial import cKDTree
 from nacre.core.arrays import Array, ComplexArray
 from nacre.families.metasurface.ensemble.multisphere import Coupling, PlaneWaves, species_numbers
 from nacre.families.metasurface.ensemble.supercells import PeriodicCoupling, Supercell, orders
+from nacre.families.metasurface.monolayer import ensemble_ratio
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
-from nacre.families.metasurface.monolayer.ensemble_ratio import (
-    Block,
-    Pairs,
-    Ratio,
-    RatioDirections,
-    Sums,
-    block_sums,
-    blocks,
-    fit_ratio,
-)
 from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer, Particle
 from nacre.families.metasurface.monolayer.qca import node_sines, node_weights
 from nacre.families.metasurface.tmatrix.axisymmetric import truncated
@@ -71,10 +62,12 @@ class Side:
     others: tuple[Directions, ...] = ()
 
     @cached_property
-    def ratio_directions(self) -> RatioDirections:
+    def ratio_directions(self) -> ensemble_ratio.RatioDirections:
         """The directions as ratio variables."""
         d = self.directions
-        return RatioDirections.of(d.transverse, np.full(d.cosines.size, d.index), np.full(d.cosines.size, d.below))
+        return ensemble_ratio.RatioDirections.of(
+            d.transverse, np.full(d.cosines.size, d.index), np.full(d.cosines.size, d.below)
+        )
 
 
 @dataclass(frozen=True)
@@ -157,16 +150,16 @@ class Ensemble:
         )
         return Side(wavevectors, first, tuple(others))
 
-    def solve(self, number: int) -> dict[Block, Sums]:
+    def solve(self, number: int) -> dict[ensemble_ratio.Block, ensemble_ratio.Sums]:
         """Solve one pattern; return the fit sums for its diffuse light."""
         cell, layer = self.supercells[number], self.layer
         sides = self._sides(cell)
         arriving = PlaneWaves.of([self.waves(light, False) for _, light in sides])
         solved = self.lattice.solve(cell, arriving)
-        found: dict[Block, Sums] = {}
+        found: dict[ensemble_ratio.Block, ensemble_ratio.Sums] = {}
         counts = [len(light.wavevectors) for _, light in sides]
         edges = np.cumsum([0, *(2 * c for c in counts)])
-        required = blocks(layer.transmits_below)
+        required = ensemble_ratio.blocks(layer.transmits_below)
         for view, _ in sides:
             f = self.coupling.far_field(cell.xy_nm, solved, self.waves(view, True), cell.species)
             for at, (_, light) in enumerate(sides):
@@ -177,7 +170,7 @@ class Ensemble:
                     if block[0] < block[1] or (block[0] == block[1] and block not in required):
                         a, b, q, p = block
                         block, pairs = (b, a, p, q), pairs.exchanged()
-                    one = block_sums(block, pairs, ANGLES)
+                    one = ensemble_ratio.block_sums(block, pairs, ANGLES)
                     found[block] = found[block] + one if block in found else one
         return found
 
@@ -194,7 +187,9 @@ class Ensemble:
         spread = np.stack(parts)
         return PlaneWaves(spread, spread, np.concatenate([side.wavevectors, side.wavevectors]))
 
-    def _pairs(self, cell: Supercell, view: Side, light: Side, powers: Array) -> list[tuple[Block, Pairs]]:
+    def _pairs(
+        self, cell: Supercell, view: Side, light: Side, powers: Array
+    ) -> list[tuple[ensemble_ratio.Block, ensemble_ratio.Pairs]]:
         """Return solved and model light for all direction pairs, by polarisations.
 
         In the control, the pattern's S replaces the mean one; in a mixture, its species order also replaces pure
@@ -217,7 +212,7 @@ class Ensemble:
                 varying = self.model.series(view, light, phi, pol, p, True) * diffuse
                 model, control = model + varying, control + varying * odd
             block = (int(view.directions.below), int(light.directions.below), pol, p)
-            pairs = Pairs(
+            pairs = ensemble_ratio.Pairs(
                 view.ratio_directions,
                 light.ratio_directions,
                 phi,
@@ -235,9 +230,11 @@ class Ensemble:
         angle = np.arccos(side.directions.cosines)
         return np.minimum(angle / WIDEST * ANGLES, ANGLES - 1).astype(np.intp)
 
-    def ratio(self, solved: list[dict[Block, Sums]]) -> tuple[Ratio, Array]:
+    def ratio(
+        self, solved: list[dict[ensemble_ratio.Block, ensemble_ratio.Sums]]
+    ) -> tuple[ensemble_ratio.Ratio, Array]:
         """Fit the ratio to all patterns; return it and its relative standard errors, `[s, i]` over `angles_rad`."""
-        found, errors = fit_ratio(solved)
+        found, errors = ensemble_ratio.fit_ratio(solved)
         return found, errors.reshape(ANGLES, ANGLES)
 
 

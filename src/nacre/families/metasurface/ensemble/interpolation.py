@@ -1,7 +1,5 @@
 """Ensemble ratios over wavelength: solved at nodes, interpolated between them, cached on disk."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import threading

@@ -17,18 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.special import jv, spherical_jn
 
 from nacre.core.arrays import Array, ComplexArray
-from nacre.families.metasurface.ensemble.multisphere import (
-    Coupling,
-    IntArray,
-    Period,
-    PlaneWaves,
-    SingleComplex,
-    direct_coupling,
-    mean_and_lift,
-    reflected_coupling,
-    species_numbers,
-    window,
-)
+from nacre.families.metasurface.ensemble import multisphere
 from nacre.families.metasurface.monolayer.arrangement import Pattern
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
 from nacre.families.metasurface.monolayer.qca import NeighbourTable, barycentric, chebyshev, mixed
@@ -61,9 +50,9 @@ class Supercell:
     """
 
     xy_nm: Array
-    period: Period
+    period: multisphere.Period
     seed: int
-    species: IntArray | None = None
+    species: multisphere.IntArray | None = None
 
 
 def supercells(
@@ -95,7 +84,7 @@ def supercells(
         close = np.asarray(cKDTree(xy, boxsize=box).query_pairs(least_nm * (1 - 1e-6), output_type="ndarray"))
         xy = np.delete(xy, close[:, 0], axis=0)
         bloch = rng.uniform(-0.5, 0.5, 2) * 2 * np.pi / box
-        out.append(Supercell(xy, Period(box, bloch), int(rng.integers(2**31))))
+        out.append(Supercell(xy, multisphere.Period(box, bloch), int(rng.integers(2**31))))
     return out
 
 
@@ -110,14 +99,14 @@ def with_species(patterns: list[Supercell], shares: Array, seed: int) -> list[Su
     return [dataclasses.replace(one, species=part) for one, part in zip(patterns, parts)]
 
 
-def draw_species(count: int, shares: Array, rng: np.random.Generator) -> IntArray:
+def draw_species(count: int, shares: Array, rng: np.random.Generator) -> multisphere.IntArray:
     """Return species numbers in counts nearest to the shares, in random order, `[particle]`."""
     edges = np.round(count * np.cumsum(shares) / np.sum(shares)).astype(np.intp)
     which = np.searchsorted(edges, np.arange(count), side="right")
     return np.asarray(rng.permutation(which) if len(edges) > 1 else which, dtype=np.intp)
 
 
-def orders(period: Period, largest: float) -> Array:
+def orders(period: multisphere.Period, largest: float) -> Array:
     """Return the in-plane wavevectors below a limit for one Bloch wavevector, `[order, 2]`, 1/nm."""
     step = 2 * np.pi / period.side_nm
     top = int(np.ceil(largest / step)) + 1
@@ -147,13 +136,13 @@ class DistantSheet:
         a, far = structure.diameter_nm * k, reach_nm * k
         edges = np.linspace(a, far, int(np.ceil((far - a) / min(a / 2, 2.0))) + 1)
         r, w = panels(edges, 8)
-        single = direct_coupling(order, r) + reflected_coupling(
+        single = multisphere.direct_coupling(order, r) + multisphere.reflected_coupling(
             geometry.surface, geometry.centre_nm, order, r, lift_nm=geometry.lift_nm
         )
         kappa, _ = chebyshev(int(30 + 0.7 * far * largest), 0.0, largest)
         mu = pair_orders(order)
         sums = np.zeros((*mu.shape, kappa.size), dtype=complex)
-        weights = (w * r * window(r / far))[:, None]
+        weights = (w * r * multisphere.window(r / far))[:, None]
         for m in range(2 * order + 1):
             rows, columns = np.nonzero(mu == m)
             sums[rows, columns] = (-1j) ** m * (single[rows, columns] @ (weights * jv(m, np.outer(r, kappa))))
@@ -181,19 +170,19 @@ class PeriodicCoupling:
         largest: largest in-plane wavevector over k.
     """
 
-    coupling: Coupling
+    coupling: multisphere.Coupling
     sheets: dict[tuple[float, float], DistantSheet]
     direct: DistantSheet | None
     largest: float
 
     @classmethod
-    def build(cls, layer: Monolayer, coupling: Coupling, reach_nm: float) -> PeriodicCoupling:
+    def build(cls, layer: Monolayer, coupling: multisphere.Coupling, reach_nm: float) -> PeriodicCoupling:
         """Tabulate; `coupling` fades out at `reach_nm`."""
         surface, order, heights = layer.surface, coupling.order, coupling.centres_nm
         k = surface.inner_wavenumber
         alone = dataclasses.replace(layer.structure, h=np.zeros_like(layer.structure.h))
         largest = max_far_wavenumber(surface, reach_nm)
-        pairs = {mean_and_lift(surface, float(a), float(b)) for a in heights for b in heights}
+        pairs = {multisphere.mean_and_lift(surface, float(a), float(b)) for a in heights for b in heights}
         sheets = {
             (mean, up): DistantSheet.build(NeighbourGeometry(surface, mean, alone, order, up), reach_nm, largest)
             for mean, up in sorted(pairs)
@@ -222,7 +211,7 @@ class PeriodicCoupling:
         straight = None if self.direct is None else self.direct.at(kappa)
         out = np.empty((len(heights), len(heights), *turn.shape), dtype=complex)
         for i, j in np.ndindex(out.shape[:2]):
-            whole = sums[mean_and_lift(self.coupling.surface, float(heights[i]), float(heights[j]))]
+            whole = sums[multisphere.mean_and_lift(self.coupling.surface, float(heights[i]), float(heights[j]))]
             if straight is not None and heights[i] != heights[j]:
                 whole = whole + self._lifted(straight, k * float(heights[i] - heights[j]))
             out[i, j] = dressed[i] @ (whole * turn)
@@ -239,9 +228,9 @@ class PeriodicCoupling:
         carried = lift(top, height) - np.eye(len(low))
         return np.asarray(carried[low] @ straight[:, :, low])
 
-    def matrix(self, cell: Supercell) -> SingleComplex:
+    def matrix(self, cell: Supercell) -> multisphere.SingleComplex:
         """Return 1 - M W for a pattern with all its images, `[sphere x n, sphere x n]`, in column order."""
-        xy, period, species = cell.xy_nm, cell.period, species_numbers(cell.xy_nm, cell.species)
+        xy, period, species = cell.xy_nm, cell.period, multisphere.species_numbers(cell.xy_nm, cell.species)
         out = self.coupling.matrix(xy, period, species).T  # rows: source and its multipole
         waves = orders(period, self.largest * self.coupling.surface.inner_wavenumber)
         couples = self.beyond(waves) / period.side_nm**2
@@ -260,7 +249,7 @@ class PeriodicCoupling:
                 blocks[k][:, rows] -= np.moveaxis(added.reshape(len(rows), size, size), 0, 1)
         return out.T
 
-    def solve(self, cell: Supercell, waves: PlaneWaves) -> SingleComplex:
+    def solve(self, cell: Supercell, waves: multisphere.PlaneWaves) -> multisphere.SingleComplex:
         """Return the multipoles for every particle, `[sphere, n, wave]`."""
         return self.coupling.solve(cell.xy_nm, waves, cell.species, self.matrix(cell))
 

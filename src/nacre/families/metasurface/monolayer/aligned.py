@@ -11,8 +11,6 @@ short Fourier series in both azimuths. S has rings sharper than the azimuth step
 harmonics over the difference, which is exact for particle patterns with few harmonics.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,25 +23,12 @@ from nacre.bsdf.lobes.monolayer import Aligned, PolarGrid, pack_triangle
 from nacre.bsdf.lobes.specular import AlignedSpecular
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.parallel import in_threads
+from nacre.families.metasurface.monolayer import evaluation
 from nacre.families.metasurface.monolayer.diffuse import (
     S_HARMONICS,
     DirectionSet,
     balanced_factors,
     structure_harmonics,
-)
-from nacre.families.metasurface.monolayer.evaluation import (
-    ABOVE_NODES,
-    BELOW_NODES,
-    GRAZING_COS,
-    HARMONICS,
-    Grids,
-    column,
-    differences,
-    energy_factors,
-    grid_groups,
-    interface_response,
-    lobe_axes,
-    specular_at_nodes,
 )
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
 from nacre.families.metasurface.monolayer.qca import neighbour_sums_at
@@ -342,13 +327,13 @@ VALUE_NODES = 12  # balance nodes over the cosine, for direct values to 1e-4
 MOST_ANGLES = 64, (40, 20, 14)
 
 
-def aligned_grids(grids: Grids) -> Grids:
+def aligned_grids(grids: evaluation.Grids) -> evaluation.Grids:
     """Limit the angle count by time and memory for azimuth pairs."""
     opaque, (above, below, beyond) = MOST_ANGLES
     if grids.below is None:
-        return Grids(PolarGrid(min(grids.above.count, opaque)), None)
+        return evaluation.Grids(PolarGrid(min(grids.above.count, opaque)), None)
     side = grids.below
-    return Grids(
+    return evaluation.Grids(
         PolarGrid(min(grids.above.count, above)),
         PolarGrid(min(side.count, below if side.beyond else above), min(side.beyond, beyond), side.eta),
     )
@@ -368,12 +353,12 @@ class AlignedResult:
 
 def series_orders() -> NDArray[np.int64]:
     """Return all terms, `[term, 3]`: orders of both azimuths, and cosine or sine."""
-    top = HARMONICS - 1
+    top = evaluation.HARMONICS - 1
     pairs = [(a, b) for a in range(top + 1) for b in range(-top, top + 1) if a > 0 or b >= 0]
     return np.array([(a, b, sine) for sine in (0, 1) for a, b in pairs])
 
 
-def _series(values: Array, grids: Grids) -> NDArray[np.float32]:
+def _series(values: Array, grids: evaluation.Grids) -> NDArray[np.float32]:
     """Return the Fourier series of f, `[s, b, i, a]`, fitted to linear interpolation, `[pair, term]`."""
     count = values.shape[1]
     found: ComplexArray = np.fft.fft2(values.transpose(0, 2, 1, 3)) / count**2
@@ -389,12 +374,14 @@ def _series(values: Array, grids: Grids) -> NDArray[np.float32]:
     return pack_triangle(np.concatenate([real, -2.0 * found.imag], axis=-1))
 
 
-def _curvature(table: ComplexArray, grids: Grids, half: NDArray[np.int64]) -> ComplexArray:
+def _curvature(table: ComplexArray, grids: evaluation.Grids, half: NDArray[np.int64]) -> ComplexArray:
     """Return the second differences of `fit_linear`; here both angles have an azimuthal order."""
-    groups = grid_groups(grids)
+    groups = evaluation.grid_groups(grids)
 
     def along(which: ComplexArray, order: int, even: NDArray[np.bool_] | None = None) -> ComplexArray:
-        out: ComplexArray = differences(which.real, groups, order) + 1j * differences(which.imag, groups, order)
+        out: ComplexArray = evaluation.differences(which.real, groups, order) + 1j * evaluation.differences(
+            which.imag, groups, order
+        )
         if even is not None:
             for start, _ in groups[:2]:
                 out[start] = np.where(even, 2.0 * (which[start + 1] - which[start]), 0.0)
@@ -408,7 +395,7 @@ def _curvature(table: ComplexArray, grids: Grids, half: NDArray[np.int64]) -> Co
 def _specular_tables(
     above: Callable[[Array], tuple[Array, Array]],
     below: Callable[[Array], Array],
-    grids: Grids,
+    grids: evaluation.Grids,
     eta: float,
     index: float,
 ) -> tuple[Array, Array, Array, Array]:
@@ -418,7 +405,7 @@ def _specular_tables(
         above, below: functions of cosines that return R and T, or R, `[..., pol, angle]`.
         index: relative substrate index.
     """
-    safe = np.maximum(NODES[0], GRAZING_COS)
+    safe = np.maximum(NODES[0], evaluation.GRAZING_COS)
     reflected, passed = (0.5 * p.sum(axis=-2) for p in above(safe))
     inside, total = np.zeros_like(reflected), np.zeros((*reflected.shape[:-1], 0))
     if grids.below is not None:
@@ -431,7 +418,7 @@ def _specular_tables(
     return r, t, inside, total
 
 
-def solve_aligned(layer: AlignedLayer, grids: Grids, eta: float, count: int = AZIMUTHS) -> AlignedResult:
+def solve_aligned(layer: AlignedLayer, grids: evaluation.Grids, eta: float, count: int = AZIMUTHS) -> AlignedResult:
     """Solve one wavelength on all angles and azimuths, scaled to energy <= 1."""
     waves = azimuth_nodes(count) + np.pi
     index = layer.mean.surface.index_below
@@ -447,7 +434,9 @@ def solve_aligned(layer: AlignedLayer, grids: Grids, eta: float, count: int = AZ
     if grids.below is not None:
         sides.append((light_of(layer, np.cos(grids.below.nodes), True, count), grids.below.weights))
     term = aligned_term(layer, sides)
-    delta = np.stack([specular_at_nodes(grids, eta, NODES, *(t[row] for t in tables)) for row in range(count)], axis=1)
+    delta = np.stack(
+        [evaluation.specular_at_nodes(grids, eta, NODES, *(t[row] for t in tables)) for row in range(count)], axis=1
+    )
     n_above = grids.above.size
     if grids.below is not None:
         delta[n_above:] = np.roll(delta[n_above:], count // 2, axis=1)
@@ -455,7 +444,7 @@ def solve_aligned(layer: AlignedLayer, grids: Grids, eta: float, count: int = AZ
     size = joined.cosines.size
     weights = np.repeat(joined.weights * joined.index**2, count) * (2 * np.pi / count)
     spread = np.repeat(joined.cosines, count)
-    scale, excess = energy_factors(term.flow.reshape(size * count, -1), weights, spread, delta.ravel())
+    scale, excess = evaluation.energy_factors(term.flow.reshape(size * count, -1), weights, spread, delta.ravel())
     dispersion = index / eta if grids.below is not None else 1.0
     factor = scale / spread * np.where(np.arange(size) < n_above, 1.0, dispersion).repeat(count)
     values = (term.power.reshape(size * count, -1) * factor[:, None] * factor).reshape(size, count, size, count)
@@ -476,7 +465,7 @@ def tabulate_aligned(
     wavelengths_nm: Array,
     layer_at: Callable[[float], AlignedLayer],
     structure: Structure,
-    grids: Grids,
+    grids: evaluation.Grids,
     eta: float,
     turn_rad: float,
     jobs: int | None = None,
@@ -488,12 +477,12 @@ def tabulate_aligned(
         return solve_aligned(layer, grids, eta), layer.mean.surface
 
     results, surfaces = zip(*in_threads(work, wavelengths_nm, jobs))
-    series = column(results, "series")
+    series = evaluation.column(results, "series")
     chosen = _select_terms(series)
     values, orders = np.ascontiguousarray(series[:, chosen]), series_orders()[chosen].astype(float)
-    k, index, step, s = lobe_axes(surfaces, structure, grids)
+    k, index, step, s = evaluation.lobe_axes(surfaces, structure, grids)
     lobe = Aligned(wavelengths_nm, values, orders, *grids.counts, eta, turn_rad, k, index, step, s)
-    response = interface_response(
+    response = evaluation.interface_response(
         results, wavelengths_nm, grids, eta, (NODES[0], NODES[1][: results[0].total.shape[-1]])
     )
     return (AlignedSpecular(response, turn_rad), lobe), max(r.excess for r in results)
@@ -528,10 +517,10 @@ def aligned_powers(layer: AlignedLayer, cosines: Array, azimuth_rad: float) -> t
     wave = np.array([azimuth_rad + np.pi])
     reflected, passed = (p[0] for p in layer.specular_above(cosines, wave, untabulated=True))
     lit = layer.illuminate(cosines, wave, untabulated=True)
-    up = _diffuse_power(layer, lit, wave[0], *hemisphere_rule(ABOVE_NODES), False)
+    up = _diffuse_power(layer, lit, wave[0], *hemisphere_rule(evaluation.ABOVE_NODES), False)
     if not layer.mean.transmits_below:
         return reflected, passed, up, np.zeros_like(up)
-    rule = hemisphere_rule(BELOW_NODES, layer.mean.surface.index_below)
+    rule = hemisphere_rule(evaluation.BELOW_NODES, layer.mean.surface.index_below)
     return reflected, passed, up, _diffuse_power(layer, lit, wave[0], *rule, True)
 
 

@@ -5,8 +5,6 @@ the rarer level, bright or dark. Touching blobs are separated at the distance tr
 border, annotations and a scale banner are left out.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

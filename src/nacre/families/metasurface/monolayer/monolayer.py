@@ -6,8 +6,6 @@ by the sheet and their reflections. With the free T-matrix the 2 x 2 matrix form
 dressed one it includes the near field between particle and stack. It ignores g(r) and is valid for p = f.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property

@@ -4,8 +4,6 @@ Hard disks in equilibrium have a closed form, Baus & Colot, Phys. Rev. A 36, 391
 measured one, becomes one `Structure`: two tables.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from dataclasses import dataclass

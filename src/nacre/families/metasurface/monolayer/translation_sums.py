@@ -7,8 +7,6 @@ are subtracted; the remainder is smooth in the angle and is interpolated.
 A multipole is n = (m, tau, l) with m from -L to L, flat; lengths in units 1/k.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

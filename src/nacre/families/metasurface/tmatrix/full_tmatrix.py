@@ -4,8 +4,6 @@ Multipoles are n = (m, tau, l) with m from -L to L, in `multipole_index` order a
 `special_functions`: as in tmat.h5 files without the Condon-Shortley sign, (-1)^m for m > 0.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 
