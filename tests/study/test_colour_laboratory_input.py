@@ -130,11 +130,11 @@ def test_several_targets_have_a_folder_each(
     seen: list[Any] = []
     search: Callable[..., Any] = formulation.formulate
 
-    def quick(task: Any, progress: Any) -> Any:
+    def counted(task: Any, *more: Any) -> Any:
         seen.append(task)
-        return search(task, progress)
+        return search(task, *more)
 
-    monkeypatch.setattr(formulation, "formulate", quick)
+    monkeypatch.setattr(formulation, "formulate", counted)
     for name, light in (("door", 60), ("roof", 40)):
         rows = [PAINT["target"][0] | {"lab": [light, 0, 0]}, PAINT["target"][1]]
         (tmp_path / f"{name}.toml").write_text(dump_toml(PAINT | {"target": rows, "search": {"solutions": 1}}))

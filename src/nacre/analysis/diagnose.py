@@ -204,7 +204,7 @@ def diagnose(
     Raises:
         NacreError: the material cannot be computed, nothing is measured, or the noise is not positive.
     """
-    stated = [noise] * len(observations) if np.ndim(noise) == 0 else list(noise)  # type: ignore[arg-type, call-overload]
+    stated = [noise] * len(observations) if np.ndim(noise) == 0 else list(noise)  # type: ignore[arg-type]
     noises = [np.asarray(each, dtype=float) for each in stated]
     if not observations or len(noises) != len(observations) or not all(np.all(each > 0) for each in noises):
         raise NacreError("a diagnosis needs at least one observation, and noise above 0")

@@ -343,7 +343,7 @@ def formulate(
 ) -> None:  # fmt: skip
     """Choose pigments, a dye and concentrations from a library for the measured colours of each TARGET."""
     from nacre.core.files import check_writable
-    from nacre.optimise.formulation import check_answers, formulation_document, read_formulation, write_formulation
+    from nacre.optimise.formulation import check_answers, formulation_document, read_formulation
     from nacre.optimise.formulation import formulate as run
 
     if (batch is None) != (made is None):
@@ -368,9 +368,9 @@ def formulate(
     for number, (task, folder) in enumerate(zip(tasks, folders, strict=True), start=1):
         found = run(
             task,
+            folder,
             lambda done, total, best: common.note(f"{done} of {total}: rms {best:.3g}") if done == total else None,
         )
-        write_formulation(found, folder)
         documents.append(formulation_document(found))
         if not as_json:
             if len(tasks) > 1:
