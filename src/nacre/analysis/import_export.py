@@ -81,14 +81,7 @@ def export_material(
     comment = f"nacre {__version__}, {material.name}\n{material.text}"
     facts: dict[str, Any] = {"format": target, "file": str(path), "lost": []}
     if target == "tmat":
-        model = material.model
-        writer = model.own_formats.get(target) if isinstance(model, OwnFormats) else None
-        if writer is None:
-            raise UnsupportedError(
-                f"{material.context.source}: a {model.traits.noun} has no T-matrix; tmat is for the particles of "
-                "metasurfaces"
-            )
-        return facts | {"lost": writer(path, comment)}
+        return facts | {"lost": _export_tmatrix(material, path, comment)}
     if target == "lut":
         return facts | _export_table(material, path, illuminant, progress)
     if target == "three":
@@ -130,6 +123,18 @@ def export_material(
         write_slice(path, bsdf, comment)
         facts["lost"] = ["all but one slice over (theta_half, theta_diff)"] + lost_parts(bsdf)
     return facts
+
+
+def _export_tmatrix(material: Material, path: Path, comment: str) -> list[str]:
+    """Write the T-matrix of a metasurface's particles and return the lost properties."""
+    model = material.model
+    writer = model.own_formats.get("tmat") if isinstance(model, OwnFormats) else None
+    if writer is None:
+        raise UnsupportedError(
+            f"{material.context.source}: a {model.traits.noun} has no T-matrix; tmat is for the particles of "
+            "metasurfaces"
+        )
+    return writer(path, comment)
 
 
 def _export_measured(bsdf: Bsdf, target: str, path: Path, step_deg: float, name: str, comment: str) -> list[str]:
