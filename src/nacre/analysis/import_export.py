@@ -81,14 +81,7 @@ def export_material(
     comment = f"nacre {__version__}, {material.name}\n{material.text}"
     facts: dict[str, Any] = {"format": target, "file": str(path), "lost": []}
     if target == "tmat":
-        model = material.model
-        writer = model.own_formats.get(target) if isinstance(model, OwnFormats) else None
-        if writer is None:
-            raise UnsupportedError(
-                f"{material.context.source}: a {model.traits.noun} has no T-matrix; tmat is for the particles of "
-                "metasurfaces"
-            )
-        return facts | {"lost": writer(path, comment)}
+        return facts | {"lost": _export_tmatrix(material, path, comment)}
     if target == "lut":
         return facts | _export_table(material, path, illuminant, progress)
     if target == "three":
@@ -96,7 +89,7 @@ def export_material(
 
         return facts | export_three(material, path, illuminant, progress)
     if target in ("gltf", "materialx", "usd"):
-        return facts | _export_film(material, target, path, None if mesh is None else Path(mesh))
+        return facts | _export_film(material, target, path, mesh)
     bsdf = material.bsdf()
     if target in OF_VALUES and any(lobe.is_stochastic for lobe in bsdf.lobes):
         raise UnsupportedError(
@@ -130,6 +123,18 @@ def export_material(
         write_slice(path, bsdf, comment)
         facts["lost"] = ["all but one slice over (theta_half, theta_diff)"] + lost_parts(bsdf)
     return facts
+
+
+def _export_tmatrix(material: Material, path: Path, comment: str) -> list[str]:
+    """Write the T-matrix of a metasurface's particles and return the lost properties."""
+    model = material.model
+    writer = model.own_formats.get("tmat") if isinstance(model, OwnFormats) else None
+    if writer is None:
+        raise UnsupportedError(
+            f"{material.context.source}: a {model.traits.noun} has no T-matrix; tmat is for the particles of "
+            "metasurfaces"
+        )
+    return writer(path, comment)
 
 
 def _export_measured(bsdf: Bsdf, target: str, path: Path, step_deg: float, name: str, comment: str) -> list[str]:
@@ -168,13 +173,13 @@ def _export_table(material: Material, folder: Path, illuminant: str, progress: C
     }  # fmt: skip
 
 
-def _export_film(material: Material, target: str, path: Path, mesh: Path | None = None) -> dict[str, Any]:
+def _export_film(material: Material, target: str, path: Path, mesh: str | Path | None) -> dict[str, Any]:
     """Write the best-fitting thin film; in glTF on a mesh, with a thickness map if a number varies."""
     from nacre.analysis.thin_film import covered_share, fit_thickness_map, fit_thin_film, varying_axis
 
     if target == "usd" and path.suffix.lower() in (".usdc", ".usdz"):
         raise UnsupportedError(f"{path}: USD is written as text; allowed: a name that ends in .usda or .usd")
-    parts = [] if mesh is None else _mesh_parts(mesh)
+    parts = [] if mesh is None else _mesh_parts(Path(mesh))
     if target == "gltf" and isinstance(material.model, Masked) and covered_share(material) is None:
         return _export_blend(material, material.model, path, parts)
     axis = varying_axis(material) if target == "gltf" else None
