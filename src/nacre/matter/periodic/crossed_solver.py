@@ -101,7 +101,9 @@ def box_symmetries(stack: PeriodicStack) -> tuple[bool, bool, bool]:
     return (
         same(walls[0], -walls[0], periods[0]) and np.array_equal(own, maps(-x, y)),
         same(walls[1], -walls[1], periods[1]) and np.array_equal(own, maps(x, -y)),
-        periods[0] == periods[1] and same(*walls, periods[0]) and np.array_equal(own, maps(x, x).swapaxes(1, 2)),
+        periods[0] == periods[1]
+        and same(walls[0], walls[1], periods[0])
+        and np.array_equal(own, maps(x, x).swapaxes(1, 2)),
     )
 
 
