@@ -86,6 +86,10 @@ LIMITS: dict[str, tuple[tuple[str, str], ...]] = {
     "pearl_platelets": (("R \\+ T", ROUNDING), ("opaque", "theory: Beer's law"), ("", PAPER)),
     "pearl_renders": (("", "*word*: dE00 5 is a change that nobody misses"),),
     "pearl_stochastic_transmittance": (("", "a prototype's range"),),
+    "pearl_texture": (
+        ("standard errors", "statistics: 95.4 % of normal errors lie within two of them; *bar*: 0.9"),
+        ("", "*bar*: 5 % for ratios, 10 and 60 CPU seconds for times"),
+    ),
     "pearl_trends": (("", PAPER),),
     "pearl_turned_and_strata": (("R, ?T|foil of clear", "theory: energy; rough faces uncompensated"), ("", PAPER)),
     "relief_ablations": (("", PAPER),),

@@ -19,13 +19,15 @@ from nacre.analysis.diagnose import Diagnosis, Observation
 from nacre.analysis.diagnose import diagnose as run_diagnosis
 from nacre.analysis.ellipsometry import compute_ellipsometry as ellipsometry
 from nacre.analysis.fit import Fit, fit_parameters, read_measurements, run_fit
-from nacre.analysis.import_export import export_material, import_material
+from nacre.analysis.import_export import export_material as export
+from nacre.analysis.import_export import import_material
 from nacre.analysis.report import make_report as report
 from nacre.analysis.run_sheet import make_run_sheet as runsheet
 from nacre.analysis.sweep import run_sweep
 from nacre.analysis.sweep_plan import load_sweep
 from nacre.analysis.ties import read_ties
-from nacre.analysis.tolerance import ToleranceResult, recipe_tolerances, run_tolerance
+from nacre.analysis.tolerance import recipe_tolerances
+from nacre.analysis.tolerance import run_tolerance as tolerance
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array, floats
@@ -33,7 +35,6 @@ from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import DESIGN_RECIPE, check_output, check_writable, short_name
 from nacre.core.jobs import Workers
 from nacre.families.contract import Diffracting, Model, fabrications
-from nacre.formats.export_formats import FOLDERS
 from nacre.formats.fabrication import SUFFIXES, HeightOptions, write_drawing
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
@@ -44,8 +45,7 @@ from nacre.matter.drawings import DrawingRequest
 from nacre.matter.periodic.orders import Orders
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
 from nacre.measure.texture import Instrument, Texture, measure_texture
-from nacre.optimise.formulation import Formulation, check_answers, write_formulation
-from nacre.optimise.formulation import formulate as run_formulation
+from nacre.optimise.formulation import formulate
 from nacre.optimise.gamut import find_gamut as gamut
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import open_file
@@ -182,25 +182,6 @@ def texture(thing: MaterialLike, *arguments: Any, **options: Any) -> Texture:
     return measure_texture(as_material(thing), *arguments, **options)
 
 
-def tolerance(
-    thing: MaterialLike, tolerances: Iterable[str] = (), *, draws: int = 500, limit: float = 1.0, **options: Any
-) -> ToleranceResult:
-    """Compute colour variation, yield and ranked sensitivities from manufacturing tolerances.
-
-    Args:
-        thing: a material or a path.
-        tolerances: such as "layers[0].thickness_nm=2%", in addition to those of the recipe's `[tolerance]`.
-        draws: number of materials; limit: largest accepted CIEDE2000 difference (dE00).
-        options: further arguments of `nacre.analysis.tolerance.run_tolerance`, such as
-            `workers=nacre.core.jobs.Workers(cluster="tcp://host:port")`.
-
-    Raises:
-        NacreError: there is no tolerance, or one names no recipe number.
-    """
-    material = as_material(thing)
-    return run_tolerance(material, recipe_tolerances(material, tuple(tolerances)), draws=draws, limit=limit, **options)
-
-
 def diagnose(
     thing: MaterialLike,
     observations: Iterable[Observation],
@@ -266,31 +247,6 @@ def fit(
     return found
 
 
-def formulate(
-    target: str | Path | Mapping[str, Any],
-    out: str | Path | None = None,
-    progress: Callable[[int, int, float], None] | None = None,
-) -> Formulation:
-    """Match measured colours of an effect paint with pigments and a dye of a library.
-
-    Args:
-        target: TOML file with `library`, `recipe` and `[[target]]`, or a dictionary of these keys.
-        out: folder for the recipes and `formulation.json`; default: nothing is written.
-        progress: called with (done, all, best rms distance in tolerances) in each stage.
-
-    Raises:
-        RecipeError: the file or its library is not valid.
-        UnsupportedError: the paint has no noise-free model.
-        NacreError: the folder cannot be written.
-    """
-    if out is not None:
-        check_answers(Path(out))
-    found = run_formulation(target, progress)
-    if out is not None:
-        write_formulation(found, Path(out))
-    return found
-
-
 def sweep(
     path: str | Path,
     output: str | Path | None = None,
@@ -316,24 +272,6 @@ def sweep(
     store = Path(output) if output is not None else Path(f"{Path(path).stem}.zarr")
     run_sweep(load_sweep(path), store, workers=Workers(jobs, cluster, security), progress=progress)
     return store
-
-
-def export(thing: MaterialLike, to: str, output: str | Path, **options: Any) -> dict[str, Any]:
-    """Write a material in the format of another program; `["lost"]` of the result lists lost properties.
-
-    Args:
-        thing: a material or a path.
-        to: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "usd", "exr", "nacre", "three" or "lut".
-        output: the file; for "three" and "lut" a folder, which is new, empty or holds such tables.
-        options: arguments of `nacre.analysis.import_export.export_material`.
-
-    Raises:
-        UnsupportedError: the format cannot represent the material.
-        NacreError: the file cannot be written.
-    """
-    if to not in FOLDERS:
-        check_writable(output)
-    return export_material(as_material(thing), to, Path(output), **options)
 
 
 def import_(source: str | Path, recipe: str | Path, *, law: str | None = None, **options: Any) -> Material:

@@ -10,7 +10,7 @@ import pytest
 
 import nacre
 from nacre.core.parallel import single_threaded_blas
-from nacre.matter.periodic import order_tables
+from nacre.matter.periodic import crossed_solver, order_tables
 from nacre.matter.periodic.order_responses import (
     LEAST_NODES,
     TAIL,
@@ -23,8 +23,8 @@ from nacre.matter.periodic.order_responses import (
     responses,
     solved_nodes,
 )
-from nacre.matter.periodic.solve import solve_coarse
-from nacre.matter.periodic.structure import OrderSolution, PeriodicStack
+from nacre.matter.periodic.solve import difference, solve_coarse
+from nacre.matter.periodic.structure import Cell, OrderSolution, PatternLayer, PeriodicStack, Rectangle
 
 Numbers = dict[tuple[int, int], float]
 
@@ -156,3 +156,49 @@ def test_a_table_of_lines_resumes(tmp_path: Any, monkeypatch: pytest.MonkeyPatch
     whole = order_tables.order_tables(stacks, lam, None)
     assert again < len(solved)
     assert np.array_equal(resumed.reflected, whole.reflected) and np.array_equal(resumed.mirror, whole.mirror)
+
+
+@pytest.mark.parametrize("shape", ["cross", "rectangle"])
+def test_the_exchange_of_x_and_y_takes_one_class(shape: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    size = {"width_nm": 150, "length_nm": 150} if shape == "rectangle" else {"width_nm": 90, "length_nm": 200}
+    stack = stack_of({"shape": shape, "material": "Si"} | size, 650.0, {"n": 1.5}, {"period_nm": 700})
+    classes: list[object] = []
+    solve_class = crossed_solver._rectangle_class
+
+    def counted(*arguments: Any) -> Any:
+        classes.append(arguments)
+        return solve_class(*arguments)
+
+    monkeypatch.setattr(crossed_solver, "_rectangle_class", counted)
+    found = solve_coarse(stack, 650.0, 0.0, 0.7)
+    assert len(classes) == 1
+    monkeypatch.setattr(crossed_solver, "box_symmetries", lambda _: (True, True, False))
+    both = solve_coarse(stack, 650.0, 0.0, 0.7)
+    assert len(classes) == 3
+    monkeypatch.setattr(crossed_solver, "box_symmetries", lambda _: (False, False, False))
+    whole = solve_coarse(stack, 650.0, 0.0, 0.7)
+    assert difference(found, both) < 1e-10 and difference(found, whole) < 1e-6  # parities take another basis
+    assert np.abs(found.reflected.jones - both.reflected.jones).max() < 1e-10
+
+
+def test_a_rectangle_that_differs_along_x_and_y_takes_two_classes() -> None:
+    stacks = [
+        stack_of({"shape": "rectangle", "material": "Si"} | size, 650.0, {"n": 1.5}, {"period_nm": 300})
+        for size in ({"width_nm": 150, "length_nm": 120}, {"width_nm": 150, "length_nm": 150, "center_nm": [20, 0]})
+    ]  # fmt: skip
+    assert [crossed_solver.box_symmetries(stack) for stack in stacks] == [(True, True, False), (False, True, False)]
+
+
+def test_adjacent_metal_lines_are_solved_by_a_larger_basis() -> None:
+    # the small basis is wrong by 1.3e-2 in the worst of 24 such structures
+    generator = np.random.default_rng(3)
+    metals = [complex(0.2, 3.4) ** 2, complex(0.9, 6.5) ** 2, complex(0.05, 4.0) ** 2]
+    for k in range(4):
+        widths = generator.uniform(0.3, 0.7, 2) * 500.0
+        layers = [
+            PatternLayer(80.0, 1.0, ((Rectangle(-0.5 * w, 0.5 * w), metals[(k + j) % 3]),))
+            for j, w in enumerate(widths.tolist())
+        ]  # fmt: skip
+        stack = PeriodicStack(Cell(500.0), 1.0, tuple(layers), 1.5)
+        coarse, fine = (solve_coarse(stack, 560.0, 0.5, 0.4, step) for step in (0, 4))
+        assert difference(coarse, fine) < 1.5e-3

@@ -212,3 +212,10 @@ def test_a_film_whose_index_drifts_is_not_taken_for_thicknesses() -> None:
     )
     best, path = result.suspects[0], "layers[0].material.n"
     assert abs(best.changes[path] - 0.02) < 4.0 * best.errors[path]
+
+
+def test_a_colour_that_needs_deviations_far_beyond_the_tolerances_is_unexplained() -> None:
+    layers = [{"material": name, "thickness_nm": d} for name, d in (("TiO2", 60), ("SiO2", 95)) * 2]
+    material, tolerances = coating({"family": "film", "substrate": "BK7", "layers": layers}, 3.0, "material")
+    found = diagnose(material, tolerances, [ColourObservation("specular 5", np.array([60.0, -20.0, -30.0]))], 0.2)
+    assert found.verdict == "unexplained"

@@ -42,6 +42,7 @@ MAX_STEPS = 40
 RESTING = 1e-6  # a smaller step of a single cause ends its search
 SCREENED, MOST_SCREENED = 8, 128  # draws of the prior for each cause, and in all, before Gauss-Newton
 STARTS = 2  # of Gauss-Newton from these draws
+FARTHEST = 6.0  # standard deviations of the prior, beyond which a deviation is not one of the tolerances
 EXCESS = 4.0  # standard deviations of chi-squared above its mean at which a hypothesis is rejected
 FURTHER_DEG = (45.0, 60.0, 30.0)  # angles of suggested measurements
 
@@ -170,9 +171,13 @@ class Diagnosis:
                 "No single cause explains the measurement; several deviate, in standard deviations of their tolerance: "
                 f"{moved or 'none significantly'}. {known} of {len(self.names)} causes are determined.{advice}"
             )
+        far = int(np.argmax(np.abs(self.factors)))
+        reason = f"chi-squared {self.all_chi2:.0f} of {self.points} values"
+        if abs(self.factors[far]) > FARTHEST:
+            reason += f" with {self.names[far]} at {self.factors[far]:+.0f} standard deviations"
         return (
-            f"No deviation within the tolerances explains the measurement: chi-squared {self.all_chi2:.0f} of "
-            f"{self.points} values. The noise is larger than stated, or the recipe's model is wrong."
+            f"No deviation within the tolerances explains the measurement: {reason}. "
+            "The noise is larger than stated, or the recipe's model is wrong."
         )
 
 
@@ -199,7 +204,7 @@ def diagnose(
     Raises:
         NacreError: the material cannot be computed, nothing is measured, or the noise is not positive.
     """
-    stated = [noise] * len(observations) if np.ndim(noise) == 0 else list(noise)  # type: ignore[arg-type, call-overload]
+    stated = [noise] * len(observations) if np.ndim(noise) == 0 else list(noise)  # type: ignore[arg-type]
     noises = [np.asarray(each, dtype=float) for each in stated]
     if not observations or len(noises) != len(observations) or not all(np.all(each > 0) for each in noises):
         raise NacreError("a diagnosis needs at least one observation, and noise above 0")
@@ -234,7 +239,8 @@ def diagnose(
         ),
     }
     verdict = max(models, key=lambda name: models[name][0])
-    if models[verdict][1] > likelihood.largest_chi2:
+    is_far = verdict == "several causes" and float(np.max(np.abs(factors))) > FARTHEST
+    if models[verdict][1] > likelihood.largest_chi2 or is_far:
         verdict = "unexplained"
     elif verdict == "one cause" and suspects[0].probability < CERTAIN:
         verdict = "ambiguous"

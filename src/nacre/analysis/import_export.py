@@ -12,15 +12,16 @@ from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.core.files import atomic_path, plain, why_unreadable, write_text
+from nacre.core.files import atomic_path, check_writable, plain, why_unreadable, write_text
 from nacre.families.contract import Masked, OwnFormats
+from nacre.formats.export_formats import FOLDERS
 from nacre.formats.foreign_materials import ThicknessMap, read_gltf, read_materialx
 from nacre.formats.gonio_csv import MAX_VALUE, GonioData, gonio_data, write_gonio_csv
 from nacre.formats.half_angle_tables import merl_table, read_merl_filled, write_merl
 from nacre.formats.lobes import delta_lost, gonio_grid, is_isotropic, lost_parts, merl_lobe
 from nacre.formats.measured_lobes import LAWS, measured_table, rgb_basis, with_spectra
 from nacre.light import default_wavelengths
-from nacre.material.material import MAX_EXCESS, Material, material_from_data
+from nacre.material.material import MAX_EXCESS, Material, MaterialLike, as_material, material_from_data
 from nacre.readers.measurement import ReadOptions
 from nacre.readers.registry import recognise
 from nacre.recipe.model import RecipeContext
@@ -45,9 +46,9 @@ RGB_REMARK = "RGB was given smooth spectra that have its colours under D65"
 
 
 def export_material(
-    material: Material,
-    target: str,
-    path: Path,
+    thing: MaterialLike,
+    to: str,
+    output: str | Path,
     *,
     angle_step_deg: float = 10.0,
     wavelength_nm: float | None = None,
@@ -55,36 +56,32 @@ def export_material(
     mesh: str | Path | None = None,
     progress: Callable[[str], None] = lambda what: None,
 ) -> dict[str, Any]:
-    """Write a material in another program's format.
+    """Write a material in another program's format; `["lost"]` of the result lists lost properties.
 
     Args:
-        target: "rgl", "merl", "csv", "zemax", "astm", "brdf-json", "speos", "gltf", "materialx", "usd", "exr", "nacre",
+        thing: a material or a path.
+        to: "rgl", "merl", "csv", "zemax", "astm", "brdf-json", "speos", "gltf", "materialx", "usd", "exr", "nacre",
             "tmat", or "lut" or "three" (folders).
+        output: the file; for "three" and "lut" a folder, which is new, empty or holds such tables.
         angle_step_deg: step of the direction grid of csv, astm, brdf-json and speos.
         wavelength_nm: for a monochrome zemax file.
         illuminant: of the colours of lut and three.
         mesh: of gltf: the object that has the material, a mesh file (.gltf, .glb, .obj, .ply, .stl); default: a sphere.
         progress: called with a description of each step of lut and three.
 
-    Returns:
-        facts about the file; `lost` lists the properties that the format cannot hold.
-
     Raises:
         UnsupportedError: the format cannot represent the material, or a formula depends on the place on an object.
         NacreError: the file cannot be written.
     """
+    target, path = to, Path(output)
+    if target not in FOLDERS:
+        check_writable(path)
+    material = as_material(thing)
     refuse_place(material.model, f"{material.context.source}: export")
     comment = f"nacre {__version__}, {material.name}\n{material.text}"
     facts: dict[str, Any] = {"format": target, "file": str(path), "lost": []}
     if target == "tmat":
-        model = material.model
-        writer = model.own_formats.get(target) if isinstance(model, OwnFormats) else None
-        if writer is None:
-            raise UnsupportedError(
-                f"{material.context.source}: a {model.traits.noun} has no T-matrix; tmat is for the particles of "
-                "metasurfaces"
-            )
-        return facts | {"lost": writer(path, comment)}
+        return facts | {"lost": _export_tmatrix(material, path, comment)}
     if target == "lut":
         return facts | _export_table(material, path, illuminant, progress)
     if target == "three":
@@ -92,7 +89,7 @@ def export_material(
 
         return facts | export_three(material, path, illuminant, progress)
     if target in ("gltf", "materialx", "usd"):
-        return facts | _export_film(material, target, path, None if mesh is None else Path(mesh))
+        return facts | _export_film(material, target, path, mesh)
     bsdf = material.bsdf()
     if target in OF_VALUES and any(lobe.is_stochastic for lobe in bsdf.lobes):
         raise UnsupportedError(
@@ -126,6 +123,18 @@ def export_material(
         write_slice(path, bsdf, comment)
         facts["lost"] = ["all but one slice over (theta_half, theta_diff)"] + lost_parts(bsdf)
     return facts
+
+
+def _export_tmatrix(material: Material, path: Path, comment: str) -> list[str]:
+    """Write the T-matrix of a metasurface's particles and return the lost properties."""
+    model = material.model
+    writer = model.own_formats.get("tmat") if isinstance(model, OwnFormats) else None
+    if writer is None:
+        raise UnsupportedError(
+            f"{material.context.source}: a {model.traits.noun} has no T-matrix; tmat is for the particles of "
+            "metasurfaces"
+        )
+    return writer(path, comment)
 
 
 def _export_measured(bsdf: Bsdf, target: str, path: Path, step_deg: float, name: str, comment: str) -> list[str]:
@@ -164,13 +173,13 @@ def _export_table(material: Material, folder: Path, illuminant: str, progress: C
     }  # fmt: skip
 
 
-def _export_film(material: Material, target: str, path: Path, mesh: Path | None = None) -> dict[str, Any]:
+def _export_film(material: Material, target: str, path: Path, mesh: str | Path | None) -> dict[str, Any]:
     """Write the best-fitting thin film; in glTF on a mesh, with a thickness map if a number varies."""
     from nacre.analysis.thin_film import covered_share, fit_thickness_map, fit_thin_film, varying_axis
 
     if target == "usd" and path.suffix.lower() in (".usdc", ".usdz"):
         raise UnsupportedError(f"{path}: USD is written as text; allowed: a name that ends in .usda or .usd")
-    parts = [] if mesh is None else _mesh_parts(mesh)
+    parts = [] if mesh is None else _mesh_parts(Path(mesh))
     if target == "gltf" and isinstance(material.model, Masked) and covered_share(material) is None:
         return _export_blend(material, material.model, path, parts)
     axis = varying_axis(material) if target == "gltf" else None

@@ -386,6 +386,8 @@ def compare(
     both = {name: (standard.tables[name], table) for name, table in report.tables.items() if name in standard.tables}
     if formula == DIN_6175:
         both = {name: pair for name, pair in both.items() if pair[1].aspecular_deg is not None}
+        if not any(np.any(table.xyz > 0) for pair in both.values() for table in pair):
+            raise NacreError(f'formula = "{formula}" compares aspecular geometries, at which both surfaces are black')
     tables = {
         name: colour_difference(first.lab, second.lab, formula, second.aspecular_deg)
         for name, (first, second) in both.items()

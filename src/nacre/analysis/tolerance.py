@@ -15,7 +15,7 @@ from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.jobs import START_WORKERS_S, Workers, run_jobs
 from nacre.light import delta_e_2000
-from nacre.material.material import Material
+from nacre.material.material import Material, MaterialLike, as_material
 from nacre.measure.colours import geometry_colours, recipe_geometries
 from nacre.measure.geometry import ASPECULAR_DEG, Geometry
 from nacre.measure.texture import TextureQuantity, check_texture, texture_values
@@ -109,8 +109,8 @@ def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tupl
 
 
 def run_tolerance(
-    material: Material,
-    tolerances: tuple[Tolerance, ...],
+    thing: MaterialLike,
+    tolerances: Sequence[Tolerance | str] = (),
     *,
     draws: int = 500,
     limit: float = 1.0,
@@ -123,30 +123,35 @@ def run_tolerance(
     workers: Workers | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ToleranceResult:
-    """Draw materials within their tolerances and measure their colours.
+    """Compute colour variation, yield and ranked sensitivities from manufacturing tolerances.
 
     Random walks use one seed for all draws; their noise does not contribute to the distribution.
 
     Args:
-        material: the nominal material.
-        tolerances: from `recipe_tolerances`.
+        thing: a material or a path.
+        tolerances: such as "layers[0].thickness_nm=2%", in addition to those of the recipe's `[tolerance]`; or from
+            `recipe_tolerances`.
         draws: material count.
         limit: dE00 within which a material passes, at every geometry.
         geometries: "45as15", "specular 0", or names of the recipe's `[[geometry]]`; default: those of the recipe, or
             else the standard angles.
         texture: quantity, such as "sparkle_45", -> largest accepted deviation in per cent; `TextureQuantity` names an
             instrument too.
-        workers: processes or cluster that measure the draws of long runs; the result does not depend on them.
+        workers: processes or cluster that measure the draws of long runs, such as
+            `nacre.core.jobs.Workers(cluster="tcp://host:port")`; the result does not depend on them.
         progress: called with (done, total): draws, and two materials per sensitivity.
 
     Raises:
-        NacreError: the nominal material cannot be computed, or a number leaves its range.
+        NacreError: there is no tolerance, the nominal material cannot be computed, or a number leaves its range.
     """
+    material = as_material(thing)
+    known = tuple(each for each in tolerances if isinstance(each, Tolerance))
+    spreads = known or recipe_tolerances(material, tuple(map(str, tolerances)))
     if not 1 <= draws <= MAX_DRAWS:
         raise NacreError(f"--draws = {draws} must lie in [1, {MAX_DRAWS}]")
     if not 0 < limit < np.inf:
         raise NacreError(f"--limit = {limit} must be above 0, and finite")
-    material = with_ties(material.at_low_fidelity().with_parts_loaded(each.path for each in tolerances))
+    material = with_ties(material.at_low_fidelity().with_parts_loaded(each.path for each in spreads))
     own = recipe_geometries(material)
     chosen = {name.strip(): Geometry.read(name, "geometry", own) for name in geometries} or own
     colour = ColourProbe(material, illuminant, observer, samples, seed, chosen)
@@ -157,8 +162,8 @@ def run_tolerance(
         if value <= 0:
             raise NacreError(f'texture: "{each}" = 0 for the recipe as it is; deviations are relative to it')
     generator = np.random.default_rng(seed)
-    causes = components(tolerances)
-    drawn = draw(tolerances, generator, draws)
+    causes = components(spreads)
+    drawn = draw(spreads, generator, draws)
     values = drawn.values
     flat = np.full((draws, measure.size), np.nan)
     total = draws + 2 * len(causes)
@@ -171,8 +176,8 @@ def run_tolerance(
         if progress:
             progress(done, total)
     moves = []
-    for number, each in enumerate(causes, start=1):
-        moves.append(_sensitivity(trials, {t.path: t.nominal for t in tolerances}, each, nominal, sought))
+    for number, cause in enumerate(causes, start=1):
+        moves.append(_sensitivity(trials, {t.path: t.nominal for t in spreads}, cause, nominal, sought))
         if progress:
             progress(draws + 2 * number, total)
     changes = [change for change, _ in moves]

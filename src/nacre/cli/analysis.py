@@ -58,8 +58,11 @@ def sweep(sweep_file: str, output: str | None, workers: Workers) -> None:
         common.note(f"{errors_file(path)} says why")
 
 
+MOST_RECIPES = 50
+
+
 @click.command()
-@click.argument("recipes", nargs=-1, required=True, metavar="RECIPE [RECIPE]")
+@click.argument("recipes", nargs=-1, required=True, metavar="RECIPE...")
 @click.option("--illuminant", default="D65", show_default=True, help=common.LAMPS)
 @click.option("--observer", type=click.Choice(["2deg", "10deg"]), default="10deg", show_default=True)
 @click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
@@ -100,15 +103,15 @@ def report(
     geometries: tuple[str, ...], formula: str, limits: tuple[str, ...], as_json: bool, output: str | None,
     changes: tuple[str, ...], **more: Any,
 ) -> None:  # fmt: skip
-    """Report colour, flop, gloss, haze and totals of one RECIPE, or of two side by side."""
+    """Report colour, flop, gloss, haze and totals of one RECIPE, or of several beside the first."""
     from nacre.analysis.html_report import dump_json, report_html, report_text
     from nacre.analysis.report import compare, compare_with_colours, make_report, read_geometries
     from nacre.core.files import check_output, write_text
     from nacre.core.parallel import on_progress
     from nacre.light.colour_differences import check_formula
 
-    if len(recipes) > 2:
-        raise NacreError(f"report takes one recipe or two, not {len(recipes)}")
+    if len(recipes) > MOST_RECIPES:
+        raise NacreError(f"report takes 1 to {MOST_RECIPES} recipes, not {len(recipes)}")
     colours = _standard(more["standard"], recipes, limits, (illuminant, observer))
     read_geometries(geometries)
     geometries = _with_standard(geometries, colours)

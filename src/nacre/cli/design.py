@@ -328,8 +328,9 @@ def _print_curve(beside: Path) -> None:
 
 
 @click.command()
-@click.argument("target", metavar="TARGET.toml")
-@click.option("-o", "output", default=None, metavar="FOLDER", help="Default: the name of the target.")
+@click.argument("targets", nargs=-1, required=True, metavar="TARGET.toml...")
+@click.option("-o", "output", default=None, metavar="FOLDER",
+              help="Default: the name of the target; of several targets it holds a folder each.")  # fmt: skip
 @click.option("--batch", default=None, metavar="COLOURS.csv",
               help="Correct a batch with these colours (geometry, L*, a*, b*) by additions; needs --made.")  # fmt: skip
 @click.option("--made", default=None, metavar="FOLDER", help="Formulation that the batch was made by.")
@@ -338,32 +339,48 @@ def _print_curve(beside: Path) -> None:
 @common.cache_option
 @common.jobs_option
 def formulate(
-    target: str, output: str | None, batch: str | None, made: str | None, answer: int, as_json: bool
+    targets: tuple[str, ...], output: str | None, batch: str | None, made: str | None, answer: int, as_json: bool
 ) -> None:  # fmt: skip
-    """Choose pigments, a dye and concentrations from a library for the measured colours of TARGET."""
-    from nacre.optimise.formulation import check_answers, formulation_document, read_formulation, write_formulation
+    """Choose pigments, a dye and concentrations from a library for the measured colours of each TARGET."""
+    from nacre.core.files import check_writable
+    from nacre.optimise.formulation import check_answers, formulation_document, read_formulation
     from nacre.optimise.formulation import formulate as run
 
     if (batch is None) != (made is None):
         raise NacreError("--batch and --made belong together: the colours of a batch, and its formulation")
-    task = read_formulation(target)
+    if batch is not None and len(targets) > 1:
+        raise NacreError(f"--batch corrects one target, not {len(targets)}")
+    tasks = [read_formulation(target) for target in targets]  # refuses a bad one before the first search
     if batch is not None and made is not None:
-        _rematch(task, batch, Path(made), answer, as_json)
+        _rematch(tasks[0], batch, Path(made), answer, as_json)
         return
-    folder = Path(output or Path(target).stem)
-    check_answers(folder)
-    found = run(
-        task, lambda done, total, best: common.note(f"{done} of {total}: rms {best:.3g}") if done == total else None
-    )
-    write_formulation(found, folder)
-    document = formulation_document(found)
+    folders = [Path(output or Path(target).stem) for target in targets]
+    if len(targets) > 1:
+        folders = [Path(output or ".") / Path(target).stem for target in targets]
+        if output and not Path(output).exists():
+            check_writable(output)
+            Path(output).mkdir()
+    for target, folder in zip(targets, folders, strict=True):
+        if folders.count(folder) > 1:
+            raise NacreError(f"{target}: another target has the folder {folder} too; rename one")
+        check_answers(folder)
+    documents = []
+    for number, (task, folder) in enumerate(zip(tasks, folders, strict=True), start=1):
+        found = run(
+            task,
+            folder,
+            lambda done, total, best: common.note(f"{done} of {total}: rms {best:.3g}") if done == total else None,
+        )
+        documents.append(formulation_document(found))
+        if not as_json:
+            if len(tasks) > 1:
+                click.echo(f"{folder.name} ({number} of {len(tasks)})")
+            _print(documents[-1])
+        common.note(str(folder))
+        if found.status == "interrupted":
+            raise KeyboardInterrupt
     if as_json:
-        click.echo(json.dumps(document))
-    else:
-        _print(document)
-    common.note(str(folder))
-    if found.status == "interrupted":
-        raise KeyboardInterrupt
+        click.echo(json.dumps(documents[0] if len(documents) == 1 else documents))
 
 
 def _print(document: dict[str, Any]) -> None:

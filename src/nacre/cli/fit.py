@@ -229,8 +229,7 @@ def diagnose(
     for part in parts:
         if part.kind == "colours":
             check_answers([material], part.geometries, [f"{part.name or '--lab'}: geometry"] * len(part.geometries))
-        elif part.kind == "texture":
-            _note_remarks(part)
+        _note_remarks(part)
     result = run(
         material, recipe_tolerances(material, tolerances), parts,
         [_noise(part, noise, lab_noise, texture_noise) for part in parts],

@@ -119,9 +119,7 @@ def _recognised_rows(path: Path, targets: int, light: tuple[str, str]) -> list[C
         open_file(path)  # refuses it by name
     if not found or found[0][0] <= POSSIBLE or found[0][1].kind not in ("colours", "spectrum"):
         return []
-    names, lab = _adapted(path, open_file(path), light)
-    for number, colour in enumerate(lab, start=1):
-        plausible(colour, f"{path}: colour {number}", colour.round(3).tolist())
+    names, lab = _adapted(path, open_file(path), light, is_checked=False)
     return [ColourRow(name, np.repeat(colour[None], targets, axis=0)) for name, colour in zip(names, lab, strict=True)]
 
 
@@ -172,9 +170,13 @@ def _file_rows(
     return [ColourRow(row.name, part) for row, part in zip(rows, np.split(lab, len(rows)), strict=True)]
 
 
-def _adapted(path: Path, measurements: Sequence[Measurement], light: tuple[str, str]) -> tuple[list[str], Array]:
+def _adapted(
+    path: Path, measurements: Sequence[Measurement], light: tuple[str, str], is_checked: bool = True
+) -> tuple[list[str], Array]:
     """Return names and CIELAB `[colour, 3]` under the light; warn about the conversion."""
     names, lab, said = named_lab(path, measurements, *light)
+    for number, colour in enumerate(() if is_checked else lab, start=1):
+        plausible(colour, f"{path}: colour {number}", colour.round(3).tolist())
     if said:
         logger.warning("%s: %s", path, "; ".join(said))
     return names, lab
@@ -342,6 +344,9 @@ def _measurement(table: TextTable, group: _Group, names: list[str], light: tuple
         data["srgb"] = np.array([srgb_of_hex(table.path, cell) for cell in cells])
         return Measurement(table.path, "table", "colours", data, "", metadata)
     columns = {quantity: _column(table, place) for quantity, place in group.places.items() if quantity != "hex"}
+    for line, chroma in zip(table.lines, columns.get("C", ()), strict=False):
+        if chroma < 0:
+            raise RecipeError(f"{table.path}: line {line}: C = {chroma:g} is a negative chroma; allowed: 0 or more")
     if "C" in columns and "a" not in columns:
         hue = columns["hue"] * (1.0 if group.hue_unit in ("", "deg") else UNITS[group.hue_unit][1])
         lab = np.asarray(lch_to_lab(np.stack([columns["L"], columns["C"], hue], axis=-1)))

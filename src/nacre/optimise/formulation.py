@@ -575,22 +575,31 @@ class _Paint:
 
 
 def formulate(
-    target: str | Path | Mapping[str, Any] | Task, progress: Callable[[int, int, float], None] | None = None
+    target: str | Path | Mapping[str, Any] | Task,
+    out: str | Path | None = None,
+    progress: Callable[[int, int, float], None] | None = None,
 ) -> Formulation:
-    """Match measured colours of a paint with ingredients from a library.
+    """Match measured colours of an effect paint with pigments and a dye from a library.
 
     An interrupt ends the search; the combinations so far give the answers.
 
     Args:
         target: a TOML file as in `FormulationSpec`, a dictionary of its keys, or the result of `read_formulation`.
-        progress: called with (combinations done, all, best rms distance in tolerances).
+        out: folder for the recipes and `formulation.json`; default: nothing is written.
+        progress: called with (combinations done, all, best rms distance in tolerances) in each stage.
 
     Raises:
         RecipeError: the file or its library is not valid.
         UnsupportedError: the paint lacks a noise-free model.
+        NacreError: the folder cannot be written.
     """
+    if out is not None:
+        check_answers(Path(out))
     task = target if isinstance(target, Task) else read_formulation(target)
-    return _Search(task, progress).run()
+    found = _Search(task, progress).run()
+    if out is not None:
+        write_formulation(found, Path(out))
+    return found
 
 
 class _Search:

@@ -75,6 +75,7 @@ def _colours(material: Material, geometries: list[Geometry], lamp: str) -> Array
 def _texture(material: Material, lamp: str, is_fine: bool) -> dict[str, Any]:
     """Return rows of sparkle and graininess, or the reason why there are none."""
     asked = [TextureQuantity.named(name, "texture", light=(lamp, OBSERVER)) for name in QUANTITY_NAMES]
+    pairs: list[list[Any]]
     try:
         if is_fine:
             document = texture_document(measure_texture(material, None, "statistics", lamp, OBSERVER))

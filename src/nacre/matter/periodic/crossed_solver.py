@@ -50,19 +50,59 @@ Parts = tuple[Components, list[Modes | Slab], Content]
 def solve_rectangles(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, degree: int) -> OrderSolution:
     """Return the orders of layers of rectangles by tensor products of piecewise polynomials."""
     transverse, _, _ = incident_wave(stack, theta_rad, phi_rad)
-    boxes = _boxes(stack)
     bases = _bases(stack, k0, transverse, degree, (stack.reach, stack.reach))
-    symmetric = tuple(
-        abs(first) < SYMMETRIC and all(_is_even(b, axis) for b in boxes) for axis, first in enumerate(transverse)
-    )
+    *even, is_square = box_symmetries(stack)
+    symmetric = tuple(abs(first) < SYMMETRIC and alike for first, alike in zip(transverse, even, strict=True))
     answers = []
-    for parities in _classes(symmetric):
+    is_square = is_square and symmetric == (True, True)
+    for parities in _classes(symmetric)[: 1 if is_square else None]:
         axes = tuple(
             whole_axis(basis) if parity is None else parity_axis(basis, parity)
             for basis, parity in zip(bases, parities, strict=True)
         )
         answers.append(_solved(stack, k0, transverse, *_rectangle_class(stack, k0, (axes[0], axes[1]))))
+    if is_square:
+        answers.append(answers[0].swapped())
     return _joined(stack, k0, theta_rad, phi_rad, answers, "rectangles")
+
+
+def box_symmetries(stack: PeriodicStack) -> tuple[bool, bool, bool]:
+    """Return whether layers of rectangles are alike under x -> -x, under y -> -y, and under the exchange of x and y.
+
+    Rectangles may be parts of one shape, as those of a cross.
+    """
+    cell, boxes = stack.cell, _boxes(stack)
+    assert cell.period_y is not None
+    periods = cell.period_x, cell.period_y
+    sides = [[(b.x_0, b.x_1), (_bounded(b.y_0, cell), _bounded(b.y_1, cell))] for b in boxes]
+    walls = [np.array([side for box in sides for side in box[axis]]) for axis in (0, 1)]
+
+    def same(one: Array, other: Array, period: float) -> bool:
+        first, second = regions(period, one)[0], regions(period, other)[0]
+        return first.shape == second.shape and bool(np.allclose(first, second, rtol=0.0, atol=1e-9 * period))
+
+    def maps(x: Array, y: Array) -> Array:
+        """Return the permittivity `[layer, x, y]`."""
+        found = np.empty((len(stack.layers), len(x), len(y)), dtype=complex)
+        for values, layer in zip(found, stack.layers, strict=True):
+            values[:] = layer.epsilon
+            for shape, epsilon in layer.shapes:
+                assert isinstance(shape, Rectangle)
+                spans = (shape.x_0, shape.x_1), (_bounded(shape.y_0, cell), _bounded(shape.y_1, cell))
+                inside = [
+                    (at - low) % period < high - low
+                    for at, period, (low, high) in zip((x, y), periods, spans, strict=True)
+                ]  # fmt: skip
+                values[np.ix_(*inside)] = epsilon
+        return found
+
+    x, y = (regions(period, wall)[1] for period, wall in zip(periods, walls, strict=True))
+    own = maps(x, y)
+    return (
+        same(walls[0], -walls[0], periods[0]) and np.array_equal(own, maps(-x, y)),
+        same(walls[1], -walls[1], periods[1]) and np.array_equal(own, maps(x, -y)),
+        periods[0] == periods[1] and same(*walls, periods[0]) and np.array_equal(own, maps(x, x).swapaxes(1, 2)),
+    )
 
 
 def rectangle_response(
@@ -121,11 +161,6 @@ def rectangle_unknowns(stack: PeriodicStack, wavelength_nm: float, step: int) ->
     return 2 * sum(along_x[1]) * sum(along_y[1])
 
 
-def _is_even(box: Rectangle, axis: int) -> bool:
-    low, high = (box.x_0, box.x_1) if axis == 0 else (box.y_0, box.y_1)
-    return not np.isfinite(low) or abs(low + high) <= 1e-9 * (high - low)
-
-
 def _classes(symmetric: tuple[bool, ...]) -> list[tuple[bool | None, bool | None]]:
     """Return the parities along x and y of E_z, for light with E_x and for light with E_y; None: no symmetry.
 
@@ -149,6 +184,11 @@ class _Answer:
     up: dict[tuple[int, int], Array]
     down: dict[tuple[int, int], Array]
     unknowns: int
+
+    def swapped(self) -> _Answer:
+        """Return the answer with x and y exchanged: the class of E_y in a structure that the exchange leaves alike."""
+        sides = [{(n, m): e[::-1, ::-1] for (m, n), e in side.items()} for side in (self.up, self.down)]
+        return _Answer(sides[0], sides[1], self.unknowns)
 
 
 def _rectangle_class(stack: PeriodicStack, k0: float, axes: tuple[Axis, Axis]) -> Parts:

@@ -87,13 +87,14 @@ def is_patterned(layer: PatternLayer) -> bool:
 
 
 def solve_lamellar(cases: Sequence[Case]) -> list[OrderSolution]:
-    """Return the orders of lamellar layers for each (stack, k0, theta, phi), within 3e-4, with metal 4e-3."""
+    """Return the orders of lamellar layers for each (stack, k0, theta, phi), within 3e-4, with metal 1.5e-3."""
     found: dict[int, OrderSolution] = {}
     groups: dict[object, list[int]] = {}
+    incidences = [incident_wave(stack, theta, phi) for stack, _, theta, phi in cases]
     for k, (stack, k0, theta, phi) in enumerate(cases):
         if any(is_patterned(layer) for layer in stack.layers):
             shapes = tuple(tuple(shape for shape, _ in layer.shapes) for layer in stack.layers)
-            groups.setdefault((stack.cell, shapes, bool(incident_wave(stack, theta, phi)[0][1])), []).append(k)
+            groups.setdefault((stack.cell, shapes, bool(incidences[k][0][1])), []).append(k)
         else:
             found[k] = flat_orders(stack, k0, theta, phi)
     for group in groups.values():
@@ -101,16 +102,18 @@ def solve_lamellar(cases: Sequence[Case]) -> list[OrderSolution]:
         starts, middles = _walls(cases[group[0]][0])
         values = {name: _values(stack, middles) for name, stack in stacks.items()}
         meshes: dict[LineMesh, list[int]] = {}
-        for k in group:
-            stack, k0 = cases[k][:2]
-            meshes.setdefault(_mesh(starts / stack.cell.period_x, values[id(stack)], stack, k0), []).append(k)
+        each = np.array([values[id(cases[k][0])] for k in group])
+        own = _meshes(starts, each, [cases[k][0] for k in group], np.array([cases[k][1] for k in group]))
+        for k, mesh in zip(group, own, strict=True):
+            meshes.setdefault(mesh, []).append(k)
         for mesh, members in meshes.items():
             check_unknowns(2 * mesh.size, cases[members[0]][1])
             step = max(1, int(CHUNK / (2 * mesh.size) ** 2))
             for first in range(0, len(members), step):
                 part = members[first : first + step]
                 epsilon = np.array([values[id(cases[k][0])] for k in part])
-                found |= zip(part, _solved([cases[k] for k in part], mesh, epsilon), strict=True)
+                solved = _solved([cases[k] for k in part], [incidences[k] for k in part], mesh, epsilon)
+                found |= zip(part, solved, strict=True)
     return [found[k] for k in range(len(cases))]
 
 
@@ -119,25 +122,27 @@ def _walls(stack: PeriodicStack) -> tuple[Array, Array]:
     return regions(stack.cell.period_x, np.array([x for line in lines for x in (line.x_0, line.x_1)]))
 
 
-def _mesh(starts: Array, values: Array, stack: PeriodicStack, k0: float) -> LineMesh:
-    """Return one element between neighbouring walls of any layer, on a period of length 1.
+def _meshes(starts: Array, values: Array, stacks: list[PeriodicStack], k0: Array) -> list[LineMesh]:
+    """Return one element between neighbouring walls of any layer, on a period of length 1, for each case.
 
     The fields at the edges of the walls are singular. Polynomials of degree p on a length h resolve them to some
     h / p^2, and each element is made to resolve them alike; it also resolves the waves of the largest index in it.
 
     Args:
-        starts: walls over the period.
-        values: permittivity `[layer, region]`.
+        starts: walls over the period, in nm.
+        values: permittivity `[case, layer, region]`.
     """
-    length = k0 * stack.cell.period_x
+    period = stacks[0].cell.period_x
+    length, reach = (k0 * period)[:, None], np.array([stack.reach for stack in stacks])[:, None]
+    starts = starts / period
     sizes = np.diff(starts, append=starts[0] + 1.0)
-    turns = 0.5 * length * sizes * np.maximum(np.sqrt(values).real.max(axis=0), stack.reach)
+    turns = 0.5 * length * sizes * np.maximum(np.sqrt(values).real.max(axis=1), reach)
     # a polynomial needs half a degree for each radian, and a few more to converge
     waves = turns + 1.5 * turns ** (1.0 / 3.0) + 2.0 * np.minimum(1.0, turns)
-    edges = np.sqrt(FINENESS * max(1.0, length / (2.0 * np.pi)) * sizes / RESOLUTION) - 1.0
+    edges = np.sqrt(FINENESS * np.maximum(1.0, length / (2.0 * np.pi)) * sizes / RESOLUTION) - 1.0
     # even degrees: fewer meshes, and more cases share one
-    degrees = 2 * np.ceil(0.5 * np.maximum(waves, edges)).astype(int)
-    return _assembled(tuple(starts.tolist()), tuple(np.maximum(degrees, 2).tolist()))
+    degrees = np.maximum(2 * np.ceil(0.5 * np.maximum(waves, edges)).astype(int), 2)
+    return [_assembled(tuple(starts.tolist()), tuple(each)) for each in degrees.tolist()]
 
 
 @lru_cache(maxsize=64)
@@ -160,10 +165,11 @@ def values_at(layer: PatternLayer, x: Array, period: float) -> Array:
     return values
 
 
-def _solved(cases: list[Case], mesh: LineMesh, values: Array) -> list[OrderSolution]:
+def _solved(
+    cases: list[Case], incidences: list[tuple[Array, float, Array]], mesh: LineMesh, values: Array
+) -> list[OrderSolution]:
     """Solve cases that share a mesh; `values` are the permittivities `[case, layer, region]`."""
     stacks = [case[0] for case in cases]
-    incidences = [incident_wave(stack, theta, phi) for stack, _, theta, phi in cases]
     k0, transverse = np.array([case[1] for case in cases]), np.array([each[0] for each in incidences])
     incident, k_y = np.array([each[2] for each in incidences]).astype(complex), transverse[:, 1]
     space = _space_of(stacks, mesh, k0, transverse[:, 0])
@@ -174,14 +180,16 @@ def _solved(cases: list[Case], mesh: LineMesh, values: Array) -> list[OrderSolut
     joints = space.flat, space.smooth
     if np.any(k_y):
         up, down = _scattered(joints, above, [_joined(space, k_y, *s) for s in states], below, wave)
-    else:  # E_x and E_y decouple
-        apart = []
-        for k, joint in enumerate(joints):
-            layers = [(1j * q @ t, 1j * t @ p) for t, p, q in (s[3 * k : 3 * k + 3] for s in states)]
-            apart.append(_scattered((joint,), [[above[k][k]]], layers, [[below[k][k]]], wave[:, [k]]))
-        up, down = (np.concatenate(both, axis=1) for both in zip(*apart, strict=True))
-    reflected = _sides(cases, incidences, space, up - wave, True)
-    transmitted = _sides(cases, incidences, space, down, False)
+    else:  # E_x and E_y decouple: each is a case of one component
+        outer, inner = (np.concatenate([side[0][0], side[1][1]]) for side in (above, below))
+        layers = [
+            (1j * np.concatenate([q_x[:, :, None] * t[: len(cases)], q_y @ t[len(cases) :]]), 1j * t @ p)
+            for t, p, q_x, q_y in states
+        ]  # fmt: skip
+        light = np.concatenate([wave[:, [0]], wave[:, [1]]])
+        found = _scattered((np.concatenate(joints),), [[outer]], layers, [[inner]], light)
+        up, down = (np.concatenate(np.split(side, 2), axis=1) for side in found)
+    reflected, transmitted = _sides(cases, incidences, space, np.concatenate([up - wave, down]))
     return [OrderSolution(r, t, np.inf, mesh.size, "lines") for r, t in zip(reflected, transmitted, strict=True)]
 
 
@@ -194,7 +202,7 @@ def lamellar_responses(stack: PeriodicStack, k0: float, transverse: Array, upper
     """
     starts, middles = _walls(stack)
     values = _values(stack, middles)
-    mesh = _mesh(starts / stack.cell.period_x, values, stack, k0)
+    mesh = _meshes(starts, values[None], [stack], np.array([k0]))[0]
     check_unknowns(2 * mesh.size, k0)
     count = len(transverse)
     stacks, k_y = [stack] * count, transverse[:, 1]
@@ -313,7 +321,9 @@ def _admittance(epsilon: Array, alpha: Array, k_y: Array) -> Blocks:
 
 
 def _states(space: Space, values: Array, depth: Array, k_y: Array) -> list[tuple[Array, ...]]:
-    """Return T, P and Q of the LSM and LSE problems, P and Q at k_y = 0; twice if the layer is halved.
+    """Return T and P of the LSM and then the LSE problems, and both Q, the first as a diagonal; twice if halved.
+
+    P and Q are those at k_y = 0.
 
     Args:
         values: permittivity `[case, region]`.
@@ -322,22 +332,20 @@ def _states(space: Space, values: Array, depth: Array, k_y: Array) -> list[tuple
     identity = np.eye(len(space.region))
     up, masses = space.slope.conj().swapaxes(1, 2), space.masses(values)
     p_x = identity - space.slope @ np.linalg.solve(masses, up)
-    q_x = values[:, space.region][:, :, None] * identity
+    q_x = values[:, space.region]
     p_y, q_y = np.linalg.inv(space.masses(np.ones_like(values))), masses - up @ space.slope
-    squared = np.concatenate([p_x @ q_x, p_y @ q_y]) - np.tile(k_y**2, 2)[:, None, None] * identity
+    squared = np.concatenate([p_x * q_x[:, None], p_y @ q_y]) - np.tile(k_y**2, 2)[:, None, None] * identity
     for count in (1, 2):
         half = np.tile(0.5 * depth / count, 2)[:, None, None]
         tangent = half * tangent_over_root(half**2 * squared)
         if np.abs(tangent).max() < LARGEST_TANGENT * np.abs(half).max():
             break
-    t_x, t_y = np.split(tangent, 2)
-    return [(t_x, p_x, q_x, t_y, p_y, q_y)] * count
+    return [(tangent, np.concatenate([p_x, p_y]), q_x, q_y)] * count
 
 
-def _joined(
-    space: Space, k_y: Array, t_x: Array, p_x: Array, q_x: Array, t_y: Array, p_y: Array, q_y: Array
-) -> tuple[Array, Array]:  # fmt: skip
+def _joined(space: Space, k_y: Array, t: Array, p: Array, q_x: Array, q_y: Array) -> tuple[Array, Array]:
     """Return a layer's f / e in the even state and e / f in the odd one, at conical incidence."""
+    (t_x, t_y), (p_x, p_y) = np.split(t, 2), np.split(p, 2)
     b = k_y[:, None, None]
     up = space.slope.conj().swapaxes(1, 2)
     masses = q_y + up @ space.slope
@@ -345,9 +353,9 @@ def _joined(
     tangent = _blocks([[t_x, 0.0 * t_x], [mixed @ t_x - t_y @ mixed, t_y]])
     inverse = np.linalg.inv(masses)
     crossed = 1j * b * space.slope @ inverse
-    p = _blocks([[p_x, crossed], [-1j * b * inverse @ up, p_y - b**2 * inverse]])
-    q = _blocks([[q_x - b**2 * np.eye(len(space.region)), -1j * b * space.slope], [1j * b * up, q_y]])
-    return 1j * q @ tangent, 1j * tangent @ p
+    mixed_p = _blocks([[p_x, crossed], [-1j * b * inverse @ up, p_y - b**2 * inverse]])
+    q = _blocks([[(q_x[:, None] - b**2) * np.eye(len(space.region)), -1j * b * space.slope], [1j * b * up, q_y]])
+    return 1j * q @ tangent, 1j * tangent @ mixed_p
 
 
 def _blocks(rows: Blocks) -> Array:
@@ -418,33 +426,39 @@ def _through(
         source = source + driven - above @ offset
     amplitudes = np.linalg.solve(above @ electric - magnetic, source)
     top = lower = electric @ amplitudes + (offset if offset.shape[2] else 0.0)
-    for electric, opposed, offset, _ in reversed(steps):
-        if offset.shape[2]:
-            lower = lower - offset
-        amplitudes = np.linalg.solve(electric, lower)
+    for k, (electric, opposed, offset, _) in enumerate(reversed(steps)):
+        if k:
+            amplitudes = np.linalg.solve(electric, lower - offset if offset.shape[2] else lower)
         lower = amplitudes - opposed @ amplitudes - (offset if offset.shape[2] else 0.0)
     return top, lower
 
 
 def _sides(
-    cases: list[Case], incidences: list[tuple[Array, float, Array]], space: Space, fields: Array, is_up: bool
-) -> list[OrderSet]:  # fmt: skip
-    """Return the orders that propagate on one side, for e of the plane waves `[case, component, wave, in]`."""
+    cases: list[Case], incidences: list[tuple[Array, float, Array]], space: Space, fields: Array
+) -> tuple[list[OrderSet], list[OrderSet]]:
+    """Return the orders that propagate, for e of the plane waves `[side and case, component, wave, in]`."""
+    count = len(cases)
     k_y = np.array([each[0][1] for each in incidences])
-    index = np.array([s.cover if is_up else s.substrate.real if s.is_clear else 0.0 for s, _, _, _ in cases])
-    case, wave = np.nonzero(index[:, None] ** 2 - space.alpha**2 - k_y[:, None] ** 2 > GRAZING)
+    index = np.array(
+        [s.cover for s, _, _, _ in cases] + [s.substrate.real if s.is_clear else 0.0 for s, _, _, _ in cases]
+    )  # fmt: skip
+    squares = (space.alpha**2 + k_y[:, None] ** 2)[None]
+    row, wave = np.nonzero((index.reshape(2, count, 1) ** 2 - squares).reshape(2 * count, -1) > GRAZING)
+    case = row % count
     numbers = np.stack([space.numbers[case, wave], np.zeros(len(case), dtype=int)], axis=1)
     k_z = np.array([each[1] for each in incidences])[case]
     azimuth = np.array([phi for _, _, _, phi in cases])[case]
-    found = order_set(
-        numbers, np.stack([space.alpha[case, wave], k_y[case]], axis=1), fields[case, :, wave], index[case], is_up,
-        (azimuth, k_z),
-    )  # fmt: skip
-    ends = np.searchsorted(case, np.arange(len(cases) + 1))
-    return [
+    transverse = np.stack([space.alpha[case, wave], k_y[case]], axis=1)
+    found = order_set(numbers, transverse, fields[row, :, wave], index[row], True, (azimuth, k_z))
+    is_down = row >= count
+    found.direction[is_down, 2] *= -1.0
+    found.jones[is_down, 1] *= -1.0
+    ends = np.searchsorted(row, np.arange(2 * count + 1))
+    sets = [
         OrderSet(found.numbers[a:b], found.direction[a:b], found.jones[a:b], found.efficiency[a:b])
         for a, b in zip(ends[:-1], ends[1:], strict=True)
     ]
+    return sets[:count], sets[count:]
 
 
 def flat_orders(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float) -> OrderSolution:

@@ -21,7 +21,7 @@ from nacre.matter.periodic.crossed_solver import fourier_response, rectangle_res
 from nacre.matter.periodic.lamellar_solver import GRAZING, lamellar_responses
 from nacre.matter.periodic.line_solver import line_response
 from nacre.matter.periodic.scattering_matrix import outgoing_root
-from nacre.matter.periodic.solve import RUNS, method_of
+from nacre.matter.periodic.solve import RUNS, line_step, method_of
 from nacre.matter.periodic.structure import PeriodicStack
 from nacre.matter.periodic.types import Array
 
@@ -116,6 +116,8 @@ def responses(channels: Channels, transverse: Array, step: int = 0) -> Array:
     """
     stack, k0, upper, lower = channels.stack, channels.k0, channels.upper, channels.lower
     method = method_of(stack)
+    if method == "lines":
+        step = line_step(stack, step)
     if method == "lines" and step == 0:
         return lamellar_responses(stack, k0, transverse, upper[:, 0], lower[:, 0])
     run: Callable[..., Array] = {

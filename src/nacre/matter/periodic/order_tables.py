@@ -15,6 +15,7 @@ from nacre.core.arrays import Array
 from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
 from nacre.core.jobs import in_workers
 from nacre.core.parallel import in_threads
+from nacre.matter.periodic.crossed_solver import box_symmetries
 from nacre.matter.periodic.order_responses import (
     EXPENSIVE,
     LEAST_NODES,
@@ -366,8 +367,10 @@ def _images(stack: PeriodicStack) -> list[tuple[int, int]]:
         return [(-1, 1), (1, -1), (-1, -1)] if even else [(1, -1)]
     if not stack.cell.is_rectangular:
         return []
-    even_x = all(_is_even(s, 0) for s in shapes)
-    even_y = all(_is_even(s, 1) for s in shapes)
+    if all(isinstance(s, Rectangle) for s in shapes):
+        even_x, even_y, _ = box_symmetries(stack)
+    else:
+        even_x, even_y = (all(_is_even(s, axis) for s in shapes) for axis in (0, 1))
     found = [(-1, 1)] if even_x else []
     found += [(1, -1)] if even_y else []
     return [*found, (-1, -1)] if even_x and even_y else found

@@ -19,7 +19,10 @@ from nacre.matter.periodic.types import Array
 
 Solver = Callable[[Array], Array]
 SHORT_RULE = 3  # doublings
-FRACTION_REACH = 16.0  # of |u|: the fraction of tan(sqrt u) / sqrt u is exact to 1e-8 there; energy is always conserved
+FRACTION_REACH = (
+    192.0  # of |u|: the fraction of tan(sqrt u) / sqrt u is exact to 1e-8 there; energy is always conserved
+)
+TERMS = 17  # of the fraction
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,10 +122,10 @@ def slab(p: Array, q: Array, depth: float) -> Slab:
 
 @lru_cache(maxsize=1)
 def _tangent_fraction() -> tuple[Array, Array]:
-    """Return numerator and denominator, by ascending powers of u, of the fraction u/(1 - u/(3 - ... u/21)) over u."""
-    above, below = [np.zeros(6), np.zeros(6)], [np.zeros(6), np.zeros(6)]
+    """Return numerator and denominator, by ascending powers of u, of the fraction u/(1 - u/(3 - ... u/33)) over u."""
+    above, below = ([np.zeros(TERMS // 2 + 1), np.zeros(TERMS // 2 + 1)] for _ in range(2))
     above[0][0] = below[1][0] = 1.0  # terms -1 and 0: 1 / 0 and 0 / 1
-    for n in range(1, 12):
+    for n in range(1, TERMS + 1):
         for terms in (above, below):
             previous = np.roll(terms[0], 1) * -1.0 if n > 1 else terms[0]
             terms[:] = [terms[1], (2 * n - 1) * terms[1] + previous]
@@ -142,10 +145,11 @@ def tangent_over_root(u: Array) -> Array:
     scale = 0.25**doublings
     one, u, squared = np.eye(u.shape[-1]), scale * u, scale**2 * squared
     cubed = squared @ u
-    above, below = (
-        c[0] * one + c[1] * u + c[2] * squared + cubed @ (c[3] * one + c[4] * u + c[5] * squared)
-        for c in _tangent_fraction()
-    )
+
+    def part(c: Array) -> Array:
+        return np.asarray(c[0] * one + c[1] * u + c[2] * squared)
+
+    above, below = (part(c[:3]) + cubed @ (part(c[3:6]) + cubed @ part(c[6:])) for c in _tangent_fraction())
     if doublings <= SHORT_RULE:
         found = np.linalg.solve(below, above)
         for _ in range(doublings):

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from nacre.matter.periodic.crossed_solver import FOURIER_STEPS, RECTANGLE_STEPS, solve_fourier, solve_rectangles
-from nacre.matter.periodic.lamellar_solver import solve_lamellar
+from nacre.matter.periodic.lamellar_solver import is_patterned, solve_lamellar
 from nacre.matter.periodic.line_solver import solve_lines, solve_profile
 from nacre.matter.periodic.structure import NotConvergedError, OrderSolution, PeriodicStack, Rectangle
 from nacre.matter.periodic.types import Array
@@ -26,6 +26,7 @@ SLICES = {"lines": (12, 24), "fourier": (12,)}  # of sloping walls, beyond those
 SLICES_RATE = 1.5  # observed: the error of steps falls as count^-2 in s, as count^-1 to count^-1.5 in p
 SLICES_SAFETY = 1.5  # of the extrapolated limit, over its distance from the finer solution
 SLICES_TOLERANCE = {"lines": 2e-3, "fourier": 1e-2}  # where none is asked for
+ADJACENT_STEP = 2  # size of adjacent layers of metal lines: 1e-3, where the smallest has errors up to 1.3e-2
 CORNER_RATE = 2.5  # the error of rectangles falls as degree^-2.5, by the fields at their corners
 
 
@@ -70,16 +71,31 @@ def solve_coarse(
     return solve_many([(stack, wavelength_nm, theta_rad, phi_rad)], step)[0]
 
 
+def line_step(stack: PeriodicStack, step: int) -> int:
+    """Return the number of the size that serves for `step`: a finer one for adjacent layers of metal lines."""
+    metals = [
+        is_patterned(layer) and min(complex(e).real for e in (layer.epsilon, *(e for _, e in layer.shapes))) < 0.0
+        for layer in stack.layers
+    ]  # fmt: skip
+    return max(step, ADJACENT_STEP) if any(a and b for a, b in zip(metals, metals[1:], strict=False)) else step
+
+
 def solve_many(cases: Sequence[tuple[PeriodicStack, float, float, float]], step: int = 0) -> list[OrderSolution]:
-    """Return `solve_coarse` for many cases; lines with the smallest size at once, in a tenth of the time."""
+    """Return `solve_coarse` for many cases; lines with the smallest size at once, in a tenth of the time.
+
+    Adjacent layers of metal lines need the second finer size, since walls of one end on metal of the other.
+    """
     waves = [(stack, 2.0 * np.pi / wavelength, theta, phi) for stack, wavelength, theta, phi in cases]
     methods = [method_of(case[0]) for case in waves]
-    together = [k for k, method in enumerate(methods) if method == "lines" and step == 0]
+    sizes_of = [
+        line_step(case[0], step) if method == "lines" else step for case, method in zip(cases, methods, strict=True)
+    ]
+    together = [k for k, method in enumerate(methods) if method == "lines" and sizes_of[k] == 0]
     found = dict(zip(together, solve_lamellar([waves[k] for k in together]), strict=True))
     for k, (wave, method) in enumerate(zip(waves, methods, strict=True)):
         if k not in found:
             run, sizes = RUNS[method]
-            found[k] = run(*wave, sizes[step - (method == "lines")])
+            found[k] = run(*wave, sizes[sizes_of[k] - (method == "lines")])
     return [found[k] for k in range(len(waves))]
 
 

@@ -178,6 +178,8 @@ def measurement_of(path: Path, table: Table) -> Measurement | None:
             if _COLOURS[space][0] in data or not table.rows or not all(name in place for name in wanted):
                 continue
             columns = [np.array([_number(path, row, place[name], name) for row in table.rows]) for name in wanted]
+            if wanted[1] == "LAB_C" and (columns[1] < 0).any():
+                raise NacreError(f"{path}: LAB_C = {columns[1].min():g} is a negative chroma; allowed: 0 or more")
             data |= dict(
                 zip(_COLOURS[space], columns if fields is _FIELDS else _cartesian(space, columns), strict=True)
             )

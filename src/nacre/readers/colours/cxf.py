@@ -115,6 +115,8 @@ def _values(
             if kind == "ColorCIELab":
                 name, found = "lab", [parts["L"], parts["A"], parts["B"]]
             elif kind == "ColorCIELCh":
+                if parts["C"] < 0:
+                    raise NacreError(f"{path}: C = {parts['C']:g} is a negative chroma; allowed: 0 or more")
                 name, found = "lab", lch_to_lab([parts["L"], parts["C"], parts["H"]]).tolist()
             elif kind == "ColorCIEXYZ":
                 name, found = "xyz", [parts["X"], parts["Y"], parts["Z"]]

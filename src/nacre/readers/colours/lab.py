@@ -25,6 +25,7 @@ from nacre.readers.measurement import Measurement
 
 LEAST_OF_8_BITS = 90.0  # a* and b* of all colours above it are values of 8 bits, of which 128 is neutral
 _COLOURS = {"spectra", "reflectance", "srgb", "L", "X"}
+LEAST_REFLECTANCE = -0.05  # noise about zero of dark colours
 MOST_L = 200.0  # L* of light far brighter than white, as of mirrors beside it
 
 
@@ -87,7 +88,10 @@ def _lab(path: Path, measurement: Measurement, illuminant: str, observer: str) -
                 f"{path}: its spectra from {grid.min():g} to {grid.max():g} nm do not span the visible range"
             )
         weights = smooth_weights(grid, illuminant, observer)
-        spectra = np.clip(np.atleast_2d(np.asarray(values, dtype=float)), 0.0, None)
+        spectra = np.atleast_2d(np.asarray(values, dtype=float))
+        if spectra.min() < LEAST_REFLECTANCE:
+            raise NacreError(f"{path}: reflectance = {spectra.min():g} is below 0; allowed: 0 to 1, or per cent")
+        spectra = np.clip(spectra, 0.0, None)
         return xyz_to_lab(spectra @ weights, white), f"L*a*b* from spectra under {illuminant}, {observer}"
     if "srgb" in data and not {"L", "X"} & set(data):
         xyz = srgb_linear_to_xyz(srgb_decode(data["srgb"]))

@@ -398,8 +398,7 @@ def _labels(
             "quantity",
             common.QUANTITIES,
         )
-    words = {word for heading, _ in columns for word in re.split(r"[^a-z0-9]+", heading.lower())}
-    if stated is None and len(columns) > 1 and words & _RAW:
+    if stated is None and len(columns) > 1 and any(heading.strip().lower() in _RAW for heading, _ in columns):
         raise AmbiguousFileError(
             f"{path}: the columns{_shown(columns)} are signals of a sample and of a reference or of darkness; divide "
             "them, or state the quantity of one column and ignore the others",
