@@ -24,7 +24,7 @@ COUNT = 256
 LAYERS = [{"material": "TiO2", "thickness_nm": 90}, {"material": "SiO2", "thickness_nm": 140}]
 FILMS: dict[str, dict[str, Any]] = {
     "opaque": {"substrate": "Si", "layers": LAYERS},
-    "transmitting": {"substrate": "BK7", "layers": LAYERS * 4},
+    "transmitting": {"substrate": {"n": 1.5168}, "layers": LAYERS * 4},  # a table has one critical angle
     "free and varying": {
         "substrate": "air", "layers": [{"material": {"n": 1.33}, "thickness_nm": {"formula": "100 + 600*u", "min": 100,
                                                                                   "max": 700}}],
