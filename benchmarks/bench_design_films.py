@@ -1,9 +1,9 @@
 """Films from wanted colours: one colour, one held over angles, flops, two lamps, yield.
 
-Every answer is judged by `tmm` and colour-science (`judge_films.py`) in steps of 1 nm, in another process; materials,
+Every answer is evaluated by `tmm` and colour-science (`reference_films.py`) in steps of 1 nm, in a process; materials,
 thicknesses and the number of layers are checked too. By default a tenth of the targets, at least 5 of each kind, where
 a search ends within three quarters of its bar and one for yield has 10 s; with `--all` all of them, to a fifth of the
-bar and 30 s, kept in a file as they are done, so that a run that was cut short goes on.
+bar and 30 s, stored in a file as they are done, so that a run that was cut short goes on.
 
 Bars: see the rows. Floor: a step of descent of 6 layers at 5 angles x 24 wavelengths is 6 x 24 x (9 x 80 + 5 x 45)
 operations, 136,000, some 10 us; 10 layers at normal incidence x 35 wavelengths 44,000, 3 us.
@@ -11,7 +11,7 @@ Prediction (before the first run): 3 us x 20 steps x 10 starts and as much again
 colour, all < 1; 10 us x 30 steps = 3,000 descents a second and thread, so 300,000 stacks in 60 s, of which the earlier
 trial saw some hundred: 85 % < 2. Flops in seconds, most of it the start. Two lamps: 10 layers have 4 numbers more than
 needed, so most. Yield: a choice among many answers, 1.5 x.
-Outcome: one colour 6 ms, nearly all below 0.2; on 5 nm the judge was up to 0.5 dE00 off what the search believed, for
+Outcome: one colour 6 ms, nearly all below 0.2; on 5 nm the reference was up to 0.5 dE00 off the search, for
 bright colours of high finesse, on 2 nm 0.02. Held colours: better than predicted. Flops: a second of CPU. Two lamps:
 missed, and out of reach: a second row says for how many targets any reflectance at all, whatever made it, has the same
 CIELAB under both; the stacks come as far. Yield: the range is wide, from nothing gained to six times.
@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Kept, Row, Worker, report, run_clock_by_cpu, searcher, within_of
+from common import Row, StoredResults, Worker, report, run_clock_by_cpu, searcher, within_of
 
 from nacre.light import SRGB_WHITE_XYZ, srgb_decode, srgb_linear_to_xyz, xyz_to_lab
 from nacre.matter.indices.library import index
@@ -87,7 +87,7 @@ def wanted(lab: Iterable[float], rows: int, lamps: tuple[str, ...] = ("D65",), t
 
 
 def stack_of(found: StackSolution, problem: StackProblem) -> dict[str, Any]:
-    """An answer as the judge takes it; materials, bounds and count are checked first."""
+    """An answer as the reference takes it; materials, bounds and count are checked first."""
     assert len(found.materials) <= problem.max_layers and found.substrate in [m.name for m in problem.substrates]
     for name, d in zip(found.materials, found.thicknesses_nm):
         low, high = problem.bounds_of(name)  # raises for a material that is not of the palette
@@ -106,16 +106,16 @@ def timed_search(problem: StackProblem, seconds: float, seed: int) -> tuple[Stac
     return best, time.monotonic() - wall, time.process_time() - cpu
 
 
-def held(i: int, seed: int, is_all: bool, judge: Worker) -> dict[str, Any]:
+def held(i: int, seed: int, is_all: bool, referee: Worker) -> dict[str, Any]:
     """One colour at five angles."""
     lab = random_labs(seed + 1, i + 1)[i]
     problem = metals(wanted(lab, len(HELD_DEG), tolerance=within_of(TOLERANCE, is_all)), HELD_DEG)
     best, wall, cpu = timed_search(problem, SECONDS["held"], seed)
-    d = judge.ask("differences", stack=stack_of(best, problem), angles_deg=HELD_DEG, lamps=["D65"], lab=lab.tolist())
+    d = referee.ask("differences", stack=stack_of(best, problem), angles_deg=HELD_DEG, lamps=["D65"], lab=lab.tolist())
     return {"worst": max(d), "own": float(best.d.max()), "wall": wall, "cpu": cpu}
 
 
-def flop(i: int, seed: int, is_all: bool, judge: Worker) -> dict[str, Any]:
+def flop(i: int, seed: int, is_all: bool, referee: Worker) -> dict[str, Any]:
     """Two hues at two angles."""
     hues = np.random.default_rng(seed + 2).uniform(0.0, 360.0, (i + 1, 2))[i]
     goals = [
@@ -124,7 +124,7 @@ def flop(i: int, seed: int, is_all: bool, judge: Worker) -> dict[str, Any]:
     goals += [Operand(r, "chroma", low=c, tolerance=1.0) for r, c in enumerate(CHROMA)]
     problem = metals(MeritFunction(goals), FLOP_DEG)
     best, wall, cpu = timed_search(problem, SECONDS["flop"], seed)
-    labs = judge.ask("labs", stack=stack_of(best, problem), angles_deg=FLOP_DEG, lamps=["D65"])
+    labs = referee.ask("labs", stack=stack_of(best, problem), angles_deg=FLOP_DEG, lamps=["D65"])
     off = [
         abs((np.degrees(np.arctan2(lab[0][2], lab[0][1])) - h + 180.0) % 360.0 - 180.0) for lab, h in zip(labs, hues)
     ]
@@ -133,19 +133,21 @@ def flop(i: int, seed: int, is_all: bool, judge: Worker) -> dict[str, Any]:
     return {"met": bool(met), "off_deg": max(off), "chroma": chroma, "wall": wall, "cpu": cpu}
 
 
-def lamps(i: int, seed: int, is_all: bool, judge: Worker) -> dict[str, Any]:
+def lamps(i: int, seed: int, is_all: bool, referee: Worker) -> dict[str, Any]:
     """One colour under D65 and A, where any reflectance has it at all: see `reach_lamps`."""
     lab = random_labs(seed + 3, i + 1)[i]
-    limit = judge.ask("reach", lab=lab.tolist(), lamps=["D65", "A"])
+    limit = referee.ask("reach", lab=lab.tolist(), lamps=["D65", "A"])
     if limit["is_impossible"]:
         return {"worst": np.inf, "own": np.inf, "wall": 0.0, "cpu": 0.0, **limit}
     problem = oxides(wanted(lab, 1, ("D65", "A"), within_of(1.0, is_all)))
     best, wall, cpu = timed_search(problem, SECONDS["lamps"], seed)
-    d = judge.ask("differences", stack=stack_of(best, problem), angles_deg=[0.0], lamps=["D65", "A"], lab=lab.tolist())
+    d = referee.ask(
+        "differences", stack=stack_of(best, problem), angles_deg=[0.0], lamps=["D65", "A"], lab=lab.tolist()
+    )
     return {"worst": max(d), "own": float(best.d.max()), "wall": wall, "cpu": cpu, **limit}
 
 
-def yields(i: int, seed: int, is_all: bool, judge: Worker) -> dict[str, Any]:
+def yields(i: int, seed: int, is_all: bool, referee: Worker) -> dict[str, Any]:
     """The yield of an answer found for it, and of one found without; a target out of reach counts as none."""
     lab = random_labs(seed + 4, i + 1)[i]
     plain_problem = metals(wanted(lab, len(HELD_DEG)), HELD_DEG)
@@ -156,7 +158,7 @@ def yields(i: int, seed: int, is_all: bool, judge: Worker) -> dict[str, Any]:
     robust_problem = metals(wanted(lab, len(HELD_DEG), tolerance=TOLERANCE), HELD_DEG, SPREAD)
     robust, wall, cpu = timed_search(robust_problem, seconds, seed)
     shares = [
-        judge.ask(
+        referee.ask(
             "made",
             stack=stack_of(one, plain_problem),
             angles_deg=HELD_DEG,
@@ -171,7 +173,7 @@ def yields(i: int, seed: int, is_all: bool, judge: Worker) -> dict[str, Any]:
     return {"plain": shares[0], "robust": shares[1], "own": robust.yield_share, "wall": wall, "cpu": cpu}
 
 
-def colours(count: int, seed: int, judge: Worker) -> list[dict[str, Any]]:
+def colours(count: int, seed: int, referee: Worker) -> list[dict[str, Any]]:
     """One colour each, all in one call."""
     targets = random_labs(seed, count)
     goals = [wanted(lab, 1) for lab in targets]
@@ -182,7 +184,7 @@ def colours(count: int, seed: int, judge: Worker) -> list[dict[str, Any]]:
     wall, cpu = time.monotonic() - wall, time.process_time() - cpu
     return [
         {
-            "worst": judge.ask(
+            "worst": referee.ask(
                 "differences", stack=stack_of(one, problem), angles_deg=[0.0], lamps=["D65"], lab=lab.tolist()
             )[0],
             "own": float(one.d.max()),
@@ -202,17 +204,19 @@ EACH: dict[str, Callable[[int, int, bool, Worker], dict[str, Any]]] = {
 
 
 def measure(
-    kind: str, count: int, seed: int, keep: bool, judge: Worker, clock: Mapping[str, float]
+    kind: str, count: int, seed: int, keep: bool, referee: Worker, clock: Mapping[str, float]
 ) -> list[dict[str, Any]]:
-    """Do the targets of a kind, those that are kept already left out."""
-    kept = Kept("design_films", keep, kind=kind, seed=seed, **({"count": count} if kind == "colour" else {}), **clock)
+    """Do the targets of a kind, stored results left out."""
+    stored = StoredResults(
+        "design_films", keep, kind=kind, seed=seed, **({"count": count} if kind == "colour" else {}), **clock
+    )
     if kind == "colour":  # all in one call
-        found = cache(lambda: colours(count, seed, judge))
-        return [kept.result(number, lambda number=number: found()[number]) for number in range(count)]
+        found = cache(lambda: colours(count, seed, referee))
+        return [stored.result(number, lambda number=number: found()[number]) for number in range(count)]
     results: list[dict[str, Any]] = []
     while sum("skipped" not in r for r in results) < count:
         number = len(results)
-        results.append(kept.result(number, partial(EACH[kind], number, seed, keep, judge)))
+        results.append(stored.result(number, partial(EACH[kind], number, seed, keep, referee)))
     return results
 
 
@@ -225,11 +229,11 @@ def rows_of(kind: str, results: list[dict[str, Any]]) -> list[Row]:
     worst = np.array([r.get("worst", np.nan) for r in done])
     apart = [abs(r["worst"] - r["own"]) for r in done if np.isfinite(r.get("worst", np.nan))]
     own = float(np.max(apart)) if apart else 0.0
-    by_judge = f"judge and search differ by {own:.3f} dE00 at most"
+    agreement = f"reference and search differ by {own:.3f} dE00 at most"
     if kind == "colour":
         mean_ms = 1e3 * float(np.mean([r["cpu"] for r in done]))
         return [
-            Row(f"one colour: share below dE00 1, of {n}", float(np.mean(worst < 1.0)), "", 0.98, note=by_judge),
+            Row(f"one colour: share below dE00 1, of {n}", float(np.mean(worst < 1.0)), "", 0.98, note=agreement),
             Row(
                 "one colour: share below 0.2", float(np.mean(worst < 0.2)), "", 0.95, note=f"largest {worst.max():.2f}"
             ),
@@ -242,7 +246,7 @@ def rows_of(kind: str, results: list[dict[str, Any]]) -> list[Row]:
                 float(np.mean(worst < 2.0)),
                 "",
                 0.8,
-                note=f"median {np.median(worst):.2f}, largest {worst.max():.2f}; {by_judge}",
+                note=f"median {np.median(worst):.2f}, largest {worst.max():.2f}; {agreement}",
             ),
             Row("held at five angles: share below 4", float(np.mean(worst < 4.0)), "", 0.92),
             Row("held at five angles: longest", wall, "s", 60.0, higher_is_better=False, note=f"{cpu:.0f} s of CPU"),
@@ -270,7 +274,7 @@ def rows_of(kind: str, results: list[dict[str, Any]]) -> list[Row]:
                 float(np.mean(met[is_possible])) if is_possible.any() else np.nan,
                 "",
                 0.6,
-                note=f"median of the worse {median:.2f}; {by_judge}; {clock}",
+                note=f"median of the worse {median:.2f}; {agreement}; {clock}",
             ),
         ]
     plain, robust = (np.median([r[key] for r in done]) for key in ("plain", "robust"))
@@ -288,10 +292,10 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = options.parse_args(arguments)
     clock = run_clock_by_cpu(chosen.cores)
     rows: list[Row] = []
-    with Worker("judge_films.py", Path(sys.executable)) as judge:
+    with Worker("reference_films.py", Path(sys.executable)) as referee:
         for kind in chosen.kinds or NUMBERS:
             count = chosen.count or NUMBERS[kind][0 if chosen.all else 1]
-            rows += rows_of(kind, measure(kind, count, chosen.seed, chosen.all, judge, clock))
+            rows += rows_of(kind, measure(kind, count, chosen.seed, chosen.all, referee, clock))
     notes = {**clock, "seed": chosen.seed, "load": f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores at the end"}
     return report("design_films: films from wanted colours", rows, chosen.json, notes)
 

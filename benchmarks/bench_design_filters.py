@@ -5,13 +5,13 @@ optiland begins from the textbook's own start (quarter, half, quarter wave for a
 the middle of the stop band for edges) and may insert needles; nacre's `[layers]` begins from nothing, may use as many
 layers as optiland ended with, on one thread, and stops at a tenth of the CPU seconds that optiland spent, or at 20.
 Merit is the rms difference in per cent, by `tmm` in a process of its own, every 2 nm, for both. By default 5 of the
-ten; with `--all` all of them, kept in a file as they are done. optiland needs minutes for the edge filters.
+ten; with `--all` all of them, stored in a file as they are done. optiland needs minutes for the edge filters.
 
 Bars: merit at least as good with as few layers on every filter, 10 x faster.
 Prediction (before the first run): optiland calls Python once a wavelength, some 0.3 ms a layer, and takes slopes by
 finite differences: 1,000 times a compiled adjoint. With a tenth of the time nacre breeds, so at least as good.
 Outcome: all ten at least as good, from the same rms to a twentieth of it. The short-pass edge was missed by 6 % as
-long as the search asked for a straight line in the band that the target leaves out, where the judge asks for nothing.
+long as the search asked for a straight line in the band that the target leaves out, where the reference weighs nothing.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import PEER_PYTHON, Kept, Row, Worker, parser, report
+from common import PEER_PYTHON, Row, StoredResults, Worker, parser, report
 
 os.environ["NACRE_JOBS"] = "1"
 
@@ -170,8 +170,8 @@ def by_nacre(one: Filter, most: int, seconds: float, seed: int) -> dict[str, Any
     return {"layers": layers, "cpu": time.process_time() - cpu, "wall": time.monotonic() - wall}
 
 
-def measure(number: int, seed: int, peer: Worker, judge: Worker) -> dict[str, Any]:
-    """Both designs of a filter, judged."""
+def measure(number: int, seed: int, peer: Worker, referee: Worker) -> dict[str, Any]:
+    """Both designs of a filter, evaluated."""
     one = FILTERS[number]
     theirs = by_optiland(one, peer)
     ours = by_nacre(one, len(theirs["layers"]), min(SHARE * theirs["cpu"], MOST_S), seed)
@@ -184,7 +184,7 @@ def measure(number: int, seed: int, peer: Worker, judge: Worker) -> dict[str, An
             "substrate": one.substrate,
             "thicknesses_nm": [d for _, d in found["layers"]],
         }
-        found["rms"] = judge.ask(
+        found["rms"] = referee.ask(
             "rms", stack=stack, angle_deg=one.angle_deg, wavelengths_nm=nm.tolist(), wanted=wanted.tolist()
         )
     return {"number": number, "seed": seed, "name": one.name, "optiland": theirs, "nacre": ours}
@@ -197,12 +197,12 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument("--seed", type=int, default=17)
     options.add_argument("numbers", nargs="*", type=int, help="which of the ten, from 0; default: the first five")
     chosen = options.parse_args(arguments)
-    kept = Kept("design_filters", chosen.all, seed=chosen.seed)
+    stored = StoredResults("design_filters", chosen.all, seed=chosen.seed)
     by_nacre(FILTERS[0], 2, 1.0, 0)  # compiles
     results = []
-    with Worker("peer_needle.py", PEER_PYTHON) as peer, Worker("judge_films.py", Path(sys.executable)) as judge:
+    with Worker("peer_needle.py", PEER_PYTHON) as peer, Worker("reference_films.py", Path(sys.executable)) as referee:
         for number in chosen.numbers or range(len(FILTERS) if chosen.all else 5):
-            results.append(kept.result(number, partial(measure, number, chosen.seed, peer, judge)))
+            results.append(stored.result(number, partial(measure, number, chosen.seed, peer, referee)))
     rows = []
     for r in results:
         theirs, ours = r["optiland"], r["nacre"]

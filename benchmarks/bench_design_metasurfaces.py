@@ -1,9 +1,9 @@
 """Metasurfaces from wanted colours: hidden recipes found again from what they show.
 
 Each hidden recipe (spheres of one of four materials on an oxide over one of three substrates) gives six colours:
-mirror and diffuse, for light from 0, 30 and 60 degrees. They are computed, and the answer is judged, in another process
-from the tables of the Bsdf (`judge_metasurfaces.py`), which the search never builds. By default 5 recipes, each search
-ending where all six colours are within three quarters of the bar; with `--all` ten and to a fifth of it, kept in a file
+mirror and diffuse, for light from 0, 30 and 60 degrees. They are computed, and the answer is evaluated, in a process
+from the tables of the Bsdf (`reference_metasurfaces.py`), which no search builds. By default 5 recipes, each search
+ending where all six colours are within three quarters of the bar; with `--all` ten and to a fifth of it, saved
 as they are done, so that a run that was cut short goes on.
 
 Bars: dE00 <= 1.5 at all six for 9 of 10, <= 180 s each; <= 0.25 CPU s for a candidate of 16 wavelengths at 6
@@ -28,14 +28,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Kept, Row, Worker, report, run_clock_by_cpu, searcher, within_of
+from common import Row, StoredResults, Worker, report, run_clock_by_cpu, searcher, within_of
 
 import nacre
 from nacre.core.errors import NacreError
 from nacre.measure.geometry import Geometry
 from nacre.optimise.measurement import simulate_measurement
 
-WANTS = [f"{kind} {angle}" for kind in ("specular", "diffuse") for angle in (0, 30, 60)]
+GEOMETRIES = [f"{kind} {angle}" for kind in ("specular", "diffuse") for angle in (0, 30, 60)]
 FREE = {
     "particle.radius_nm": (40.0, 100.0),
     "particle.gap_nm": (2.0, 10.0),
@@ -62,10 +62,10 @@ def hidden(number: int, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
     return {**START, "substrate": SUBSTRATES[int(rng.integers(len(SUBSTRATES)))]}, values
 
 
-def one(number: int, seed: int, seconds: float, within: float, judge: Worker) -> dict[str, Any]:
-    """Design one hidden recipe again, each colour `within` so much, and judge the answer."""
+def one(number: int, seed: int, seconds: float, within: float, referee: Worker) -> dict[str, Any]:
+    """Design one hidden recipe again, each colour `within` so much, and evaluate the answer."""
     start, values = hidden(number, seed)
-    labs = judge.ask("labs", data=start, changes=values, wants=WANTS)
+    labs = referee.ask("labs", data=start, changes=values, geometries=GEOMETRIES)
     if labs is None:
         return {"skipped": "a sphere whose series does not converge"}
     target = {
@@ -74,7 +74,7 @@ def one(number: int, seed: int, seconds: float, within: float, judge: Worker) ->
             **{path: list(bounds) for path, bounds in FREE.items()},
             "particle.material": {"choices": MATERIALS},
         },
-        "target": [{"geometry": at, "lab": lab, "tolerance": within} for at, lab in zip(WANTS, labs)],
+        "target": [{"geometry": at, "lab": lab, "tolerance": within} for at, lab in zip(GEOMETRIES, labs)],
         "search": {"seconds": seconds, "solutions": 1, "seed": seed},
     }
     with tempfile.TemporaryDirectory() as folder:
@@ -84,21 +84,21 @@ def one(number: int, seed: int, seconds: float, within: float, judge: Worker) ->
         for path, (low, high) in FREE.items():
             assert low <= found.best.material.get(path) <= high, path
         assert found.best.material.get("particle.material") in MATERIALS
-        d = judge.ask("differences", recipe=str(Path(folder) / "recipe.toml"), wants=WANTS, labs=labs)
+        d = referee.ask("differences", recipe=str(Path(folder) / "recipe.toml"), geometries=GEOMETRIES, labs=labs)
     own = max(reached.distance for reached in found.best.targets)
     right = found.best.material.get("particle.material") == values["particle.material"]
     return {"worst": max(d), "own": own, "wall": wall, "cpu": cpu, "same_material": right}
 
 
 def candidate_seconds(seed: int, count: int = 20) -> float:
-    """CPU seconds of one candidate at 16 wavelengths and 6 directions, as a search looks at it; the median."""
+    """CPU seconds of one candidate at 16 wavelengths and 6 directions, as in a search; the median."""
     grid, memory, spent = np.linspace(400.0, 700.0, 16), {}, []
     for number in range(2 * count):
         start, values = hidden(number, seed + 1)
         made = nacre.material(start).vary(values)
         begun = time.process_time()
         try:
-            simulate_measurement(made, [Geometry.read(at, "want") for at in WANTS], grid, memory=memory)
+            simulate_measurement(made, [Geometry.read(at, "target") for at in GEOMETRIES], grid, memory=memory)
         except NacreError:
             continue
         spent.append(time.process_time() - begun)
@@ -106,16 +106,16 @@ def candidate_seconds(seed: int, count: int = 20) -> float:
 
 
 def measure(count: int, seed: int, seconds: float, keep: bool, clock: Mapping[str, float]) -> list[dict[str, Any]]:
-    """Do the recipes, those that are kept already left out."""
-    kept = Kept("design_metasurfaces", keep, seed=seed, seconds=seconds, **clock)
+    """Do the recipes, stored results left out."""
+    stored = StoredResults("design_metasurfaces", keep, seed=seed, seconds=seconds, **clock)
 
     def design(number: int) -> dict[str, Any]:
-        with Worker("judge_metasurfaces.py", Path(sys.executable)) as judge:
-            return one(number, seed, seconds, within_of(WITHIN, keep), judge)
+        with Worker("reference_metasurfaces.py", Path(sys.executable)) as referee:
+            return one(number, seed, seconds, within_of(WITHIN, keep), referee)
 
     results: list[dict[str, Any]] = []
     while sum("skipped" not in r for r in results) < count:
-        results.append(kept.result(len(results), partial(design, len(results))))
+        results.append(stored.result(len(results), partial(design, len(results))))
     return [r for r in results if "skipped" not in r]
 
 
@@ -140,7 +140,7 @@ def main(arguments: list[str] | None = None) -> int:
             share,
             "",
             0.9,
-            note=f"median of the worst {np.median(worst):.2f}, largest {worst.max():.2f}; judge and search differ by "
+            note=f"median of the worst {np.median(worst):.2f}, largest {worst.max():.2f}; reference and search differ "
             f"{off:.2f} at most; the same material in {right}",
         ),
         Row("hidden metasurfaces: longest", wall, "s", 180.0, higher_is_better=False, note=f"{cpu:.0f} s of CPU"),

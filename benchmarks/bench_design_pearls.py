@@ -1,13 +1,13 @@
 """Pearls matched from their colours at six trade angles, as a formulator does: hidden recipes of one or two pigments.
 
-A hidden recipe is drawn by seed; what the search is told is the resin, the film's thickness, three pigments that the
+A hidden recipe is drawn by seed; the search gets the resin, the film's thickness, three pigments that the
 shop has (their materials, how flat they lie), and CIELAB at 45as-15 ... 45as110. Free are coating and substrate
 thickness and the amount of each pigment, where 0 drops it, and the albedo of the ground. Targets and answers are
-computed by the reference walk in another process (`judge_pearls.py`), each with its own seed, 16 times the samples,
-and until the standard error is below 0.1 dE00. By default 5 of the 20 recipes; with `--all` all of them, kept in a file
+computed by the reference walk in another process (`reference_pearls.py`), each with its own seed, 16 times the samples,
+and until the standard error is below 0.1 dE00. By default 5 of the 20 recipes; with `--all` all of them, saved
 as they are done, so that a run that was cut short goes on.
 
-Bar: mean dE00 over the six angles <= 1 for 18 of 20, each in <= 120 s on two cores. A loaded machine is judged by its
+Bar: mean dE00 over the six angles <= 1 for 18 of 20, each in <= 120 s on two cores. A loaded machine is measured by its
 CPU time against twice that.
 Floor: one candidate is three pigments' tables, 65 cosines x 21 wavelengths x 2 polarisations x some 30 ns = 0.1 ms each
 were it only the amplitudes; averaging over the substrate costs 15 ms. Prediction (before the first run): 50 ms a
@@ -15,10 +15,10 @@ candidate that changes thicknesses, 10 ms one that changes amounts; 10 numbers, 
 80 s, 5 walks of 5 s: 25 s; mean dE00 0.3, as the data have 18 numbers for 10.
 Outcome (seed 17, `--all --cores 1.4`, beside much other work): with one start after another 16 of 20 within 1, from .07
 to .92, and 13, 15, 17, 19, all of two pigments, at 1.07, 1.12, 1.92, 1.37, their searches at the end of the time: their
-descents had not met the right orders of interference. With `valleys.py` (14 wavelengths, slopes kept by Broyden's
+descents had not met the right orders of interference. With `valleys.py` (14 wavelengths, slopes stored by Broyden's
 updates, hops along each length) a descent takes 1.3 s of CPU in place of 1 to 9, and 17 comes to .26 (161 s of CPU).
 In a trial of these steps before they were built in, on targets of the likeness itself, which have no noise, the hidden
-places of 11, 15, 16, 17, 19 were met in 8 to 37 s of CPU, that of 13 not in 60 (1.0). By the judge all 20 are
+places of 11, 15, 16, 17, 19 were met in 8 to 37 s of CPU, that of 13 not in 60 (1.0). By the reference all 20 are
 within 1, median .15; 13 .95, 19 .77, the others below .5; one pigment 27 to 140 s of CPU.
 """
 
@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Kept, Row, Worker, report, run_clock_by_cpu, searcher
+from common import Row, StoredResults, Worker, report, run_clock_by_cpu, searcher
 
 import nacre
 from nacre.recipe.toml import dump_toml
@@ -102,31 +102,31 @@ def target(start: dict[str, Any], labs: list[list[float]], seconds: float, seed:
         free[f"{head}.volume_fraction"] = [0.0, 0.08]
         free[f"{head}.coatings[0].thickness_nm"] = list(coating)
         free[f"{head}.substrate.thickness_nm"] = list(substrate)
-    wants = [{"geometry": at, "lab": lab, "tolerance": BAR_DE00} for at, lab in zip(GEOMETRIES, labs, strict=True)]
+    geometries = [{"geometry": at, "lab": lab, "tolerance": BAR_DE00} for at, lab in zip(GEOMETRIES, labs, strict=True)]
     search = {"seconds": seconds, "solutions": 1, "seed": seed}
-    return {"recipe": start, "parameters": free, "target": wants, "search": search}
+    return {"recipe": start, "parameters": free, "target": geometries, "search": search}
 
 
-def one(number: int, seed: int, seconds: float, judge: Worker) -> dict[str, Any]:
-    """Hide a recipe, find one that looks alike, let it be judged."""
+def one(number: int, seed: int, seconds: float, referee: Worker) -> dict[str, Any]:
+    """Hide a recipe, find one of the same colours, and evaluate it."""
     recipe, start = hidden(number, seed)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "hidden.toml").write_text(dump_toml(recipe), encoding="utf-8")
-        wanted = judge.ask("colours", recipe=str(folder / "hidden.toml"), seed=1000 + number)
+        wanted = referee.ask("colours", recipe=str(folder / "hidden.toml"), seed=1000 + number)
         wall, cpu = time.monotonic(), time.process_time()
         found = nacre.design(target(start, wanted["labs"], seconds, seed), folder / "out")
         wall, cpu = time.monotonic() - wall, time.process_time() - cpu
-        judged = judge.ask(
+        evaluated = referee.ask(
             "differences", recipe=str(folder / "out" / "recipe.toml"), labs=wanted["labs"], seed=500_000 + number
         )
         left = nacre.load(folder / "out" / "recipe.toml").data["strata"][0].get("platelets", [])
     return {
-        "mean": float(np.mean(judged["de00"])),
-        "worst": float(np.max(judged["de00"])),
-        "de00": judged["de00"],
+        "mean": float(np.mean(evaluated["de00"])),
+        "worst": float(np.max(evaluated["de00"])),
+        "de00": evaluated["de00"],
         "own": [r.distance for r in found.best.targets],
-        "error": float(np.max([*wanted["error"], *judged["error"]])),
+        "error": float(np.max([*wanted["error"], *evaluated["error"]])),
         "wall": wall,
         "cpu": cpu,
         "pigments": [len(recipe["strata"][0]["platelets"]), len(left)],
@@ -134,12 +134,12 @@ def one(number: int, seed: int, seconds: float, judge: Worker) -> dict[str, Any]
 
 
 def measure(
-    count: int, seed: int, seconds: float, keep: bool, only_kept: bool, judge: Worker, clock: Mapping[str, float]
+    count: int, seed: int, seconds: float, keep: bool, only_kept: bool, referee: Worker, clock: Mapping[str, float]
 ) -> list[dict[str, Any]]:
-    """Do the recipes, those that are kept already left out."""
-    kept = Kept("design_pearls", keep, seed=seed, seconds=seconds, **clock)
-    numbers = [number for number in range(count) if number in kept or not only_kept]
-    return [kept.result(number, partial(one, number, seed, seconds, judge)) for number in numbers]
+    """Do the recipes, stored results left out."""
+    stored = StoredResults("design_pearls", keep, seed=seed, seconds=seconds, **clock)
+    numbers = [number for number in range(count) if number in stored or not only_kept]
+    return [stored.result(number, partial(one, number, seed, seconds, referee)) for number in numbers]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -148,17 +148,17 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument("--seed", type=int, default=17)
     options.add_argument("--count", type=int, help="recipes")
     options.add_argument("--seconds", type=float, default=SECONDS, help="of each search, by the clock")
-    options.add_argument("--kept", action="store_true", help="with --all: what a stopped run has done, and no more")
+    options.add_argument("--stored", action="store_true", help="with --all: what a stopped run has done, and no more")
     chosen = options.parse_args(arguments)
     clock = run_clock_by_cpu(chosen.cores)
     count = chosen.count or (NUMBER if chosen.all else FEWER)
-    with Worker("judge_pearls.py", Path(sys.executable)) as judge:
-        found = measure(count, chosen.seed, chosen.seconds, chosen.all, chosen.kept, judge, clock)
+    with Worker("reference_pearls.py", Path(sys.executable)) as referee:
+        found = measure(count, chosen.seed, chosen.seconds, chosen.all, chosen.stored, referee, clock)
     if not found:
-        raise SystemExit("nothing is kept")
+        raise SystemExit("nothing is stored")
     mean = np.array([r["mean"] for r in found])
     of_all = "" if len(found) == count else f" of the {count}"
-    noise = f"noise of the judge at most {max(r['error'] for r in found):.2f} dE00"
+    noise = f"noise of the reference at most {max(r['error'] for r in found):.2f} dE00"
     apart = max(float(np.max(np.abs(np.subtract(r["de00"], r["own"])))) for r in found)
     rows = [
         Row(
@@ -172,7 +172,7 @@ def main(arguments: list[str] | None = None) -> int:
             "six angles: largest mean dE00",
             float(mean.max()),
             "",
-            note=f"worst angle {max(r['worst'] for r in found):.2f}; judge and design differ by {apart:.2f} at most",
+            note=f"worst angle {max(r['worst'] for r in found):.2f}; reference and design differ by {apart:.2f}",
         ),
         Row(
             "six angles: longest, CPU",

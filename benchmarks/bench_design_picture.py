@@ -1,9 +1,9 @@
 """A picture of 450 x 450 pixels by two free thicknesses, TiO2 and SiO2 on aluminium, against brute force.
 
-The command `nacre design` runs in a fresh process; its maps are read back. The judge computes 500 x 500 stacks by
+The command `nacre design` runs in a fresh process; its maps are read back. The reference computes 500 x 500 stacks by
 characteristic matrices written here and colours by colour-science, in 5 nm steps, and looks among all of them for the
 nearest dE00 to each of some pixels. Two pictures: a landscape, almost all of which no such stack can show, and a
-picture of colours that they have. Told are the dE00 of what was chosen for pixels that the grid has within 1, and for
+picture of colours that they have. It reports the dE00 of the choice for pixels that the grid has within 1, and for
 all pixels how much farther the choice lies than the grid's best (a pixel out of reach may cost 2 more to keep its hue).
 
 Bars: 15 s; median 0.5 and 99 % below 2 in both readings.
@@ -92,7 +92,7 @@ def design(picture: np.ndarray, folder: Path) -> tuple[np.ndarray, float, float]
     return np.stack(maps, axis=-1), wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def judge(picture: np.ndarray, maps: np.ndarray, every: np.ndarray, count: int, seed: int) -> dict[str, Any]:
+def evaluate(picture: np.ndarray, maps: np.ndarray, every: np.ndarray, count: int, seed: int) -> dict[str, Any]:
     """dE00 of what was chosen and of the grid's best, for some pixels."""
     chosen = np.random.default_rng(seed).integers(SIDE * SIDE, size=count)
     rgb = np.round(255.0 * picture).reshape(-1, 3)[chosen] / 255.0
@@ -116,7 +116,7 @@ def main(arguments: list[str] | None = None) -> int:
     for name, picture in (("landscape", landscape(SIDE)), ("own colours", own_colours())):
         with tempfile.TemporaryDirectory() as folder:
             maps, wall, cpu = design(picture, Path(folder))
-        found = judge(picture, maps, every, count, chosen.seed)
+        found = evaluate(picture, maps, every, count, chosen.seed)
         ours, best = found["ours"], found["best"]
         more = ours - best
         rows.append(Row(f"{name}: seconds", wall, "s", 15.0, False, f"{cpu:.1f} s of CPU"))

@@ -92,11 +92,11 @@ def hidden(known: dict[str, Any], seed: int) -> tuple[dict[str, float], np.ndarr
     made = nacre.material(PAINT | {"strata": [stratum]})
     task = read_formulation(question(known, [[50, 0, 0]] * len(GEOMETRIES)))
     assert isinstance(made.model, Surrogate)
-    walked = made.model.estimate_radiance(
+    estimated = made.model.estimate_radiance(
         *aspecular_pairs(task.geometries), task.merit.wavelengths_nm, WALKS, 99 + seed
     )
-    assert walked is not None
-    return true, np.asarray(task.merit.labs(np.pi * walked[0]))[:, 0]
+    assert estimated is not None
+    return true, np.asarray(task.merit.labs(np.pi * estimated[0]))[:, 0]
 
 
 def error(true: dict[str, float], found: Formula) -> float:

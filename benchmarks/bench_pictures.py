@@ -5,7 +5,7 @@
 path tracers and without a denoiser, through the same box filter; "now" is the denoised picture in at most the CPU time
 of before, guides and denoiser included. Seconds are those of all cores of the process, which another process disturbs
 less than the clock.
-Figures of a case are kept in `results/pictures.jsonl` while neither nacre nor the reference changes: a stopped run
+Figures of a case are stored in `results/pictures.jsonl` while neither nacre nor the reference changes: a stopped run
 goes on, and so does one of `--part` and `--case` after another.
 What is left of a reference's own noise is taken off the relative mean square errors; FLIP contains it, at the cost of
 ours, and grows as the 0.7th power of small errors: ten times less takes 27 times less error.
@@ -14,7 +14,7 @@ Floor: half a CPU second for guides and denoiser of 256 x 256, about a microseco
 Prediction (before the first run): 30 times less error in the median; FLIP of 0.03 within 10 s; no bias above 0.5.
 Outcome (references of 4,096 samples, errors on free cores, means over three seeds): errors 10.6 times lower in the
 median, 2.6, the car of silver spheres, to 18; without the halo, whose error the reference's own noise hides, 7.2. FLIP
-1.43 times lower, none worse: 1.00, the Bragg mirror, to 1.80. Ten times lower cannot be told with these references,
+1.43 times lower, none worse: 1.00, the Bragg mirror, to 1.80. Ten times lower cannot be measured with these references,
 whose halves lie .006 to .048 apart, the pictures of now .012 to .064; and FLIP filters the finest grain of raw pictures
 away as an eye does, while it counts each edge that a denoiser bends. Times to a FLIP of .03 stand in RESULTS.md.
 What moved since the first run (7.3 times; FLIP 1.1, .87 to 1.33): guides by mean weights, texture given back,
@@ -31,8 +31,8 @@ object stands on draws two places where objects draw four (error times CPU time 
 left lies at edges: 60 to 85 % of the error in a twentieth to an eighth of the pixels. Tried there, not taken: places on
 the film by a lattice where the samples are no power of two (denoised 2.5 % lower, a Bragg mirror's raw error 10 to 20 %
 higher); all numbers by jittered lattices (raw 10 to 30 % lower, denoised 0 to 6 %, 8 % more time); 8 guides and the
-faster network for an albedo with grain (errors 1 to 5 % higher for 3 % of the time); halves that tell the noise of
-walked paint (3 % lower, colours off by .5 more); more lamps on a walked car's wheels (3 % lower, 12 % more time).
+faster network for an albedo with grain (errors 1 to 5 % higher for 3 % of the time); halves that give the noise of
+traced paint (3 % lower, colours off by .5 more); more lamps on a traced car's wheels (3 % lower, 12 % more time).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from common import Kept, Row, Worker, parser, report
+from common import Row, StoredResults, Worker, parser, report
 from numpy.typing import NDArray
 from picture_references import CASES, SIDE, Case, Reference, reference, take
 from scipy.ndimage import maximum_filter
@@ -173,7 +173,7 @@ def at_equal_time(case: Case, worker: Worker) -> dict[str, float]:
         if spp <= within:
             break
     if now is None:
-        raise SystemExit(f"{case.name}: no number of samples kept within the CPU time of before")
+        raise SystemExit(f"{case.name}: no number of samples stored within the CPU time of before")
     stops, white = auto_stops(truth.xyz), str(now.stats["illuminant"])
     pictures = [(before, now.xyz)] + [
         (by_multijitter(case, bsdf, seed), render(case, bsdf, SIDE, seed, spp=within).xyz) for seed in SEEDS[1:]
@@ -189,7 +189,7 @@ def at_equal_time(case: Case, worker: Worker) -> dict[str, float]:
 
 
 def time_to_flip(case: Case, worker: Worker) -> dict[str, float]:
-    """Return the CPU seconds to the bar's FLIP at twice the side, judged in the middle; infinite if far above it.
+    """Return the CPU seconds to the bar's FLIP at twice the side, evaluated in the middle; infinite if far above it.
 
     Once a number of samples does, the least that does is sought by halving, to an eighth.
     """
@@ -249,13 +249,13 @@ def peak_gb() -> dict[str, float]:
 
 
 def once(part: str, case: Case | None, measure: Callable[[], dict[str, float]]) -> dict[str, Any]:
-    """Return a part's figures of a case; those of the same source and reference are kept."""
+    """Return a part's figures of a case; those of the same source and reference are stored."""
     facts = {} if case is None else {"case": case.name, "reference_spp": reference(case).spp}
     number = 0 if case is None else CASES.index(case)
-    return Kept("pictures", is_used=True, part=part, **facts).result(number, measure)
+    return StoredResults("pictures", is_used=True, part=part, **facts).result(number, measure)
 
 
-def told(values: dict[str, float]) -> str:
+def listed(values: dict[str, float]) -> str:
     """Write a figure a scene."""
     return ", ".join(f"{name} {value:.3g}" for name, value in values.items())
 
@@ -282,42 +282,42 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with Worker("peer_flip.py") as worker:
             found = {case.name: once("error", case, partial(at_equal_time, case, worker)) for case in gallery}
         halves = {case: f["flip_halves"] for case, f in found.items()}
-        row("mean LDR-FLIP of the halves of a reference, largest: what it cannot tell apart", max(halves.values()), "",
-            None, note=told(halves))  # fmt: skip
+        row("mean LDR-FLIP of the halves of a reference, largest: its resolution", max(halves.values()), "",
+            None, note=listed(halves))  # fmt: skip
         row("mean LDR-FLIP of now, median", statistics.median(f["flip_now"] for f in found.values()), "", None,
-            note=told({case: f["flip_now"] for case, f in found.items()}))  # fmt: skip
+            note=listed({case: f["flip_now"] for case, f in found.items()}))  # fmt: skip
         for key, name in (("error", "relative mean square error"), ("flip", "mean LDR-FLIP")):
             values = {case: f[key] for case, f in found.items()}
             row(f"{name} at the CPU time of before, median", statistics.median(values.values()), "x lower",
-                BARS["error"], True, told(values))  # fmt: skip
+                BARS["error"], True, listed(values))  # fmt: skip
             row(f"{name} at the CPU time of before, worst", min(values.values()), "x lower", 1.0, True)
         row("CPU time of now over that of before, largest", max(f["now_s"] / f["before_s"] for f in found.values()),
-            "x", None, note=told({case: f["before_s"] for case, f in found.items()}))  # fmt: skip
+            "x", None, note=listed({case: f["before_s"] for case, f in found.items()}))  # fmt: skip
     if "time" in parts:
         with Worker("peer_flip.py") as worker:
             seconds = {case.name: once("time", case, partial(time_to_flip, case, worker))["s"] for case in gallery}
         row(f"CPU time to a mean FLIP of {BARS['flip']} at {2 * SIDE} px, median", statistics.median(seconds.values()),
-            "s", BARS["flip_s"], note=told(seconds))  # fmt: skip
+            "s", BARS["flip_s"], note=listed(seconds))  # fmt: skip
     if "bias" in parts:
-        judged = {case.name: once("bias", case, partial(of_default, case)) for case in cases}
+        evaluated = {case.name: once("bias", case, partial(of_default, case)) for case in cases}
         biases, unsure, flies, raw_flies, samples = (
-            {name: f[key] for name, f in judged.items()} for key in ("bias", "unsure", "flies", "raw_flies", "spp")
+            {name: f[key] for name, f in evaluated.items()} for key in ("bias", "unsure", "flies", "raw_flies", "spp")
         )
         row("mean colour of ten patches a scene, denoised, worst", max(biases.values()), "dE00", BARS["bias"],
-            note=told(biases))  # fmt: skip
+            note=listed(biases))  # fmt: skip
         row("of that, what the reference itself does not know, largest", max(unsure.values()), "dE00", None,
-            note=told(unsure))  # fmt: skip
-        row("fireflies, denoised, most in a scene", max(flies.values()), "pixels", 0.0, note=told(flies))
+            note=listed(unsure))  # fmt: skip
+        row("fireflies, denoised, most in a scene", max(flies.values()), "pixels", 0.0, note=listed(flies))
         row("fireflies, raw, most in a scene", max(raw_flies.values()), "pixels", BARS["raw_flies"],
-            note=told(raw_flies))  # fmt: skip
+            note=listed(raw_flies))  # fmt: skip
         row("samples a pixel of a default picture, median", statistics.median(samples.values()), "", None,
-            note=told(samples))  # fmt: skip
+            note=listed(samples))  # fmt: skip
     if "memory" in parts:
         large = once("memory", None, peak_gb)
         row(f"memory of a picture of {MEMORY_SIDE} x {MEMORY_SIDE}", large["gb"], "GB", BARS["memory_gb"],
             note=f"one sample a pixel, denoised; {large['cpu_s']:.0f} CPU s")  # fmt: skip
-    kept = {case.name: reference(case) for case in cases} if set(parts) - {"memory"} else {}
-    notes = {"samples a pixel of the references": told({name: float(r.spp) for name, r in kept.items()})}
+    stored = {case.name: reference(case) for case in cases} if set(parts) - {"memory"} else {}
+    notes = {"samples a pixel of the references": listed({name: float(r.spp) for name, r in stored.items()})}
     return report("pictures: noise, bias and fireflies against long references", rows, chosen.json, notes)
 
 

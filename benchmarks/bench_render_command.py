@@ -6,7 +6,7 @@ The first command is bound to 5 s by the clock, the second to 4 s; a shared mach
 beside it.
 Outcome: see RESULTS.md. The second took 6.0 s (9.7 CPU s) with one draw of a lamp a sample on what is seen through the
 film, and 96 samples a pixel to the noise of 2 %; four draws take 32 samples and 3.9 s (5.6 CPU s). When all paths by
-way of a film were kept it was 40 samples and 4.2 s (7.4), and since floors trust drawn lamps more 32 again and 3.5 s
+way of a film were kept it was 40 samples and 4.2 s (7.4), and since floors weight sampled lamps more 32 again and 3.5 s
 (6.1).
 """
 

@@ -229,7 +229,7 @@ def main(arguments: list[str] | None = None) -> int:
         browser.close()
         studio.end()
     slow = {look: drafts(look, path) for look, path in FAMILIES.items()}
-    told = ", ".join(f"{look} {value:.1f}" for look, value in looks.items())
+    listed = ", ".join(f"{look} {value:.1f}" for look, value in looks.items())
     rows = [
         Row(f"slider to changed pixel, film of 10 layers, {side} x {side}, p95", float(np.quantile(slides, 0.95)), "ms",
             SLIDE_BAR_MS, higher_is_better=False, note=f"median {np.median(slides):.0f} ms"),
@@ -240,7 +240,7 @@ def main(arguments: list[str] | None = None) -> int:
         Row(f"server's memory over {options.drag:g} s of random dragging on the socket", flat, "x", GROWTH_BAR,
             higher_is_better=False, note=f"{answers} answers, {errors} errors"),
         Row("sphere against Mitsuba, mean of six materials", float(np.mean(list(looks.values()))), "dE00", LOOK_BAR,
-            higher_is_better=False, note=told),
+            higher_is_better=False, note=listed),
         *[
             Row(f"{look}: draft, p95", 1e3 * float(np.quantile(took, 0.95)), "ms", DRAFT_BAR_MS, higher_is_better=False,
                 note=f"dE00 {apart:.1f} from the settled one, at 0, 30 and 60 degrees")

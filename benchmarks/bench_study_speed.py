@@ -2,7 +2,7 @@
 
 Each is the command itself in a new process, cold and with `--no-cache`, numba's kernels compiled beforehand by a first
 run that is not counted. The figure is CPU seconds, user and system, of the process and its workers, since on a shared
-machine the clock tells how busy it was; for the tolerance, whose bar is a wait, it is the clock.
+machine the clock shows how busy it was; for the tolerance, whose bar is a wait, it is the clock.
 
 Floor: 2.2 s for the process itself (imports, numba's kernels from disk: `report` of a film), 48 wavelengths of a
 metasurface at about 60 ms (lattice sums 20, multipole order 15, 129 + 120 angles 20, pairs of angles 10).

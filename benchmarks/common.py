@@ -163,7 +163,7 @@ def searcher(description: str | None) -> argparse.ArgumentParser:
 
 
 def within_of(bar: float, is_all: bool) -> float:
-    """Return the `within` of wants whose bar is `bar`: a search ends at a fifth of it, so at a fifth of the bar in a
+    """Return the `within` of targets whose bar is `bar`: a search ends at a fifth of it, so at a fifth of the bar in a
     run of all targets, and at three quarters of the bar in a short one.
     """
     return bar if is_all else 3.75 * bar
@@ -172,7 +172,7 @@ def within_of(bar: float, is_all: bool) -> float:
 def run_clock_by_cpu(cores: float | None) -> dict[str, float]:
     """Let `time.monotonic`, by which searches end, run with this process's CPU time over `cores`; None lets it be.
 
-    Returns what a kept result and a report shall tell of it.
+    Returns the note on it for a stored result and a report.
     """
     if cores is None:
         return {}
@@ -198,7 +198,7 @@ def report(name: str, rows: list[Row], as_json: bool, notes: Mapping[str, Any] |
     return 0 if passed else 1
 
 
-class Kept:
+class StoredResults:
     """Results of a long benchmark, kept as lines of JSON so that a stopped run goes on.
 
     Only those of the same nacre, to the byte of its source, and of the same `facts` count.
@@ -221,7 +221,7 @@ class Kept:
         return number in self._found
 
     def result(self, number: int, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """Return a result that is kept, or measure it; it is told on stderr."""
+        """Return a stored result, or measure it; progress goes to stderr."""
         found = self._found.get(number)
         if found is None:
             found = {"number": number, **self._facts, **measure()}

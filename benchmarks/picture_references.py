@@ -1,9 +1,9 @@
-"""The pictures that bench_pictures judges, and their references: `python benchmarks/picture_references.py`.
+"""The pictures that bench_pictures evaluates, and their references: `python benchmarks/picture_references.py`.
 
 Ten pictures of the gallery and two more lights, each rendered long and without a denoiser at 512 x 512 pixels with
 1,024 samples a pixel. Pixels of a box filter add up: that is the picture of 256 x 256 with 4,096 samples a pixel, and
-its middle is what judges pictures of 512 x 512. Both are kept in `benchmarks/references`, in half floats, with how far
-two independent halves of the samples lie from their mean, to a tenth, which tells what is left of a reference's own
+its middle is the reference for pictures of 512 x 512. Both lie in `benchmarks/references`, in half floats, with how far
+two independent halves of the samples lie from their mean, to a tenth, which gives the rest of a reference's own
 noise. They are part of the repository and made again only where scenes, lights or examples change what is seen, by
 
     python benchmarks/picture_references.py --anew NAME ...
@@ -38,7 +38,7 @@ FOLDER = Path(__file__).resolve().parent / "references"
 SIDE = 256
 SPP, PART_SPP = 4096, 512  # a pixel of that side
 FINER = 2  # times the side, of the picture that is rendered
-FIRST_SEED = 1000  # beyond those of the pictures that are judged
+FIRST_SEED = 1000  # beyond those of the evaluated pictures
 SMALLEST, STEP = 2.0**-24, 2.0**0.25  # of what is kept of a difference: its sign, and its logarithm in such steps
 
 
@@ -60,7 +60,7 @@ class Case:
 
     @property
     def look(self) -> dict[str, Any]:
-        """What `nacre.render` is told."""
+        """The arguments of `nacre.render`."""
         return {"scene": self.scene, "light": self.light}
 
 
@@ -75,7 +75,7 @@ CASES = (
     Case("silver_on_oxide-car", "metasurface/silver_on_oxide.toml", "body", "street"),
     Case("bottle3", "pearl/bottle3.toml", "bottle", quality="fast"),
     Case("car_front", "pearl/car_front.toml", "body"),
-    # lights that the gallery leaves out: judged for fireflies and bias alone
+    # lights that the gallery leaves out: evaluated for fireflies and bias alone
     Case("gold-sun", "gold.toml", "knob", "sun", in_gallery=False),
     Case("copper-interior", "copper.toml", "knob", "interior", in_gallery=False),
 )

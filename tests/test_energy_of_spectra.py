@@ -42,13 +42,13 @@ def check_films(seeds: range) -> None:
 
 
 def check_pearls(seeds: range) -> None:
-    """The walk's noise is judged by its own spread over seeds."""
+    """The noise of the Monte Carlo estimate is taken from its spread over seeds."""
     for seed in seeds:
         data = random_pearl(np.random.default_rng(seed))
         data["base"]["albedo"] = 1.0
         runs = np.array([totals(nacre.material(data), seed=k) for k in range(6)])
         error = runs.std(axis=0, ddof=1) / np.sqrt(len(runs))
-        # with six runs a spread is known to a third; the mean of all six tells bias from noise
+        # with six runs a spread is known to a third; the mean of all six separates bias from noise
         assert np.all(runs.mean(axis=0) <= 1 + EXCESS + 4 * np.maximum(error, error.mean())), seed
 
 

@@ -45,8 +45,8 @@ def main(path: str) -> None:
     assert known.whole is not None  # of what is not axisymmetric
     size = np.abs(known.whole)
     known = dataclasses.replace(known, whole=np.where(size > NOISE * size.max(), known.whole, 0.0))
-    told = f"radii {RADII_NM[0]:g} and {RADII_NM[1]:g} nm, n = {INDEX}, centres {APART_NM:g} nm apart, in vacuum"
-    write_tmatrices(path, known, "", "treams: two coupled spheres, expanded about their middle", told)
+    note = f"radii {RADII_NM[0]:g} and {RADII_NM[1]:g} nm, n = {INDEX}, centres {APART_NM:g} nm apart, in vacuum"
+    write_tmatrices(path, known, "", "treams: two coupled spheres, expanded about their middle", note)
 
 
 if __name__ == "__main__":

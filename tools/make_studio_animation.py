@@ -186,7 +186,7 @@ def main(arguments: list[str]) -> int:
             page.goto(address)
             page.get_by_role("button", name="Close").click()
             settle(page)
-            page.wait_for_selector("#view[data-judged=true]")
+            page.wait_for_selector("#view[data-measured=true]")
             film = Film(page)
             play(film)
         browser.close()

@@ -220,10 +220,10 @@ def main() -> int:
 
     def run(name: str, beside: int) -> None:
         (FIGURES / name).mkdir(parents=True, exist_ok=True)
-        told = run_apart(name, beside)
+        note = run_apart(name, beside)
         with lock:
             done.append(name)
-            print(f"== [{len(done)}/{len(chosen)}] {name}\n{told}", end="", flush=True)
+            print(f"== [{len(done)}/{len(chosen)}] {name}\n{note}", end="", flush=True)
             # the rows of scripts that are not run come from their last run
             write_report({each: found for each in names if (found := read_rows(each)) is not None})
 

@@ -4,7 +4,7 @@
 walls. For profiles without them there are two that share no step: `smooth`, the coordinate-transformation method
 (Chandezon et al., J. Opt. 11, 235 (1980)), and `sliced`, the Fourier modal method in slices whose rule of
 factorisation follows the surface's own normal (Popov and Neviere, J. Opt. Soc. Am. A 18, 2886 (2001)). Slices converge
-slowly for metals in p (Popov et al., J. Opt. Soc. Am. A 19, 33 (2002)), so `sliced` judges `smooth` on shallow profiles
+slowly for metals in p (Popov et al., J. Opt. Soc. Am. A 19, 33 (2002)), so `sliced` checks `smooth` on shallow profiles
 alone, in the tests; the kept cases have `_grating_elements.py` for it.
 
 Time goes as exp(-i omega t), an index is n + ik, lengths are in micrometres. All are for opaque bodies under vacuum.

@@ -49,18 +49,18 @@ def material_of(recipe: Any) -> nacre.Material:
 
 
 def in_both_balances(
-    judge: Callable[[], list[dict[str, Any]]], why: dict[str, str] | None = None
+    compare: Callable[[], list[dict[str, Any]]], why: dict[str, str] | None = None
 ) -> list[dict[str, Any]]:
     """Check each claim with both energy balances: columns "conserving" and "as printed", and a verdict.
 
     Args:
-        judge: returns the rows of `row`, in the same order whatever the balance.
+        compare: returns the rows of `row`, in the same order whatever the balance.
         why: claim -> what the verdict on a claim that holds in neither balance says; default: "false".
     """
     found = {}
     for how in ENERGY_BALANCES:
         with with_balance(how):
-            found[how] = judge()
+            found[how] = compare()
     rows = []
     for physical, printed in zip(*(found[how] for how in ENERGY_BALANCES), strict=True):
         good, well = (one["verdict"] == "holds" for one in (physical, printed))

@@ -40,7 +40,7 @@ def c1(density: float, coating_nm: float, substrate: Any, **flake: Any) -> dict[
     return {"family": "pearl", "strata": [stratum], "base": {"albedo": 0.7}}
 
 
-def walked(recipe: Any) -> Bsdf:
+def traced(recipe: Any) -> Bsdf:
     """The walk's Bsdf, at 10 nm."""
     return material_of(recipe).vary({"quality": "reference"}).bsdf(GRID_NM)
 

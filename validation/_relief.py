@@ -123,8 +123,8 @@ def picture(problem: Problem, rgb: Array) -> Array:
 
 def spectra_of(problem: Problem, heights_nm: Array, upsampling: int = 16) -> Array:
     """Return the BRDF `[wavelength, x, y]` of a design's first view."""
-    judge = Evaluator(problem, upsampling, node_error=0.01)
-    return np.asarray(judge.plans[0].forward(judge.surface(heights_nm))[0][0], dtype=float)
+    evaluator = Evaluator(problem, upsampling, node_error=0.01)
+    return np.asarray(evaluator.plans[0].forward(evaluator.surface(heights_nm))[0][0], dtype=float)
 
 
 def sheet(rows: list[list[tuple[str, Array]]], path: Path, columns: int = 1) -> None:

@@ -67,7 +67,7 @@ def main(out_dir: str | Path) -> list[dict[str, Any]]:
         )
     )
     names = {t: [hue_name(s, LAM) for s in reflectance(glass(t), np.array([0.0, 45.0, 60.0]), LAM)] for t in peaks}
-    # a film of several orders has no single hue to follow: what the eye sees is given, not judged
+    # a film of several orders has no single hue to follow: the visible colour is given, not compared
     print(f"hue of the reflection at 0, 45, 60 degrees: {names}")
     finish(figure, out_dir, FIGURE)
     return rows

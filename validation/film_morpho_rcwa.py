@@ -241,10 +241,10 @@ def _compared(wing: str, fan: Fan, lobe: Ridge) -> list[dict[str, Any]]:
     ):  # fmt: skip
         changed = delta_e_2000(truth, colours(other.views(), white))
         is_better = float(changed.mean()) <= 0.5 * float(away.mean())
-        told = f"mean dE00 {away.mean():.1f} to {changed.mean():.1f} ({_list(changed)})"
+        note = f"mean dE00 {away.mean():.1f} to {changed.mean():.1f} ({_list(changed)})"
         rows.append(
             row(f"{name}: {cure}: does it halve the error?", "taken if it does",
-                told if is_better else f"{told}: not taken", not is_better, FIGURE)
+                note if is_better else f"{note}: not taken", not is_better, FIGURE)
         )  # fmt: skip
     return rows
 

@@ -22,7 +22,7 @@ FIGURE = "film_temper_steel.png"
 TABLE = ("yellow", "brown", "purple", "dark blue", "light blue", "grey-blue")
 THICKNESS_NM = np.arange(0.0, 101.0, 1.0)
 LAM = np.arange(380.0, 781.0, 5.0)
-# hue from, hue to (degrees), name; brown is dark yellow and orange; blues are told apart by lightness and chroma
+# hue from, hue to (degrees), name; brown is dark yellow and orange; blues differ by lightness and chroma
 HUES = ((15.0, 110.0, "yellow"), (315.0, 375.0, "purple"), (225.0, 315.0, "blue"))
 BROWN, DARK, GREY = 50.0, 40.0, 18.0
 SHORTEST_NM = 3.0  # what lasts less is a border between two colours
@@ -64,8 +64,8 @@ def main(out_dir: str | Path) -> list[dict[str, Any]]:
         plot.text(0.5 * (low + high), 0.5, name, ha="center", va="center", fontsize=6, rotation=90, color="w")
     plot.set(yticks=[], xlabel="magnetite on iron, nm")
     finish(figure, out_dir, FIGURE)
-    told = ", ".join(f"{name} {low:.0f}-{high:.0f} nm" for name, low, high in spans)
-    return [row("order of temper colours", ", ".join(TABLE), told, order == list(TABLE), FIGURE)]
+    note = ", ".join(f"{name} {low:.0f}-{high:.0f} nm" for name, low, high in spans)
+    return [row("order of temper colours", ", ".join(TABLE), note, order == list(TABLE), FIGURE)]
 
 
 if __name__ == "__main__":

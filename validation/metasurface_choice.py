@@ -17,7 +17,7 @@ from nacre.families.metasurface.ensemble.ensemble import middle_sizes, same_orde
 from nacre.families.metasurface.material import Metasurface
 from validation._film import canvas
 from validation._rows import finish, row
-from validation.metasurface_ensembles import distance, judged, light
+from validation.metasurface_ensembles import distance, light, pattern_correction
 
 FIGURE = "metasurface_choice.png"
 BAR = 0.12
@@ -98,7 +98,7 @@ def measured(name: str, wavelength_nm: float, patterns: int = PATTERNS) -> tuple
     """Return how far the mean field of a system is off, and the ensemble's own rms standard error."""
     layer = metasurface(name).monolayer(wavelength_nm)
     alone = same_order(layer, 2, *middle_sizes(layer))
-    ratio, errors, angles = judged(layer, 130, patterns)
+    ratio, errors, angles = pattern_correction(layer, 130, patterns)
     solved, mean = light(alone, THETA, THETA, ratio), light(alone, THETA, THETA, None)
     weights = np.sin(2 * angles)[:, None] * np.sin(2 * angles)
     return distance(mean, solved, THETA), float(np.sqrt(np.sum(weights * errors**2) / weights.sum()))

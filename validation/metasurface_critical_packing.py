@@ -66,7 +66,7 @@ def can_be(side_nm: float, density_per_um2: float, packing: float) -> bool:
 
 
 def colour(spectrum: Array) -> Array:
-    """CIELAB of a diffuse reflectance under daylight, scaled to the same lightness so that only the colour is told."""
+    """CIELAB of a diffuse reflectance under daylight, scaled to the same lightness so that only the colour differs."""
     xyz = np.asarray(spectrum_to_xyz(spectrum, WAVELENGTHS), dtype=float)
     return np.asarray(xyz_to_lab(xyz * (0.5 / xyz[1])))
 
@@ -86,10 +86,10 @@ def spectra(made: dict[tuple[float, float, float], Any]) -> dict[tuple[float, fl
 def whitening(light: dict[tuple[float, float, float], Array]) -> dict[str, Any]:
     """Row: the source's whitening, which sets in where squares meet (its fig. 5): those samples are refused here."""
     chroma = {key: float(np.hypot(*colour(s)[1:])) for key, s in light.items()}
-    told = ", ".join(f"{chroma[side, 10.0, 0.5] / chroma[side, 2.0, 0.5]:.2g}" for side in SIDES_NM)
+    note = ", ".join(f"{chroma[side, 10.0, 0.5] / chroma[side, 2.0, 0.5]:.2g}" for side in SIDES_NM)
     line = row(
         "diffuse light whitens above critical packing, where particles connect (fig. 5 of the source, side 95 nm)",
-        "whiter", f"not modelled; apart, at p = .5, 10 a um2 have {told} times the chroma of 2 (sides 95, 130, 170 nm)",
+        "whiter", f"not modelled; apart, at p = .5, 10 a um2 have {note} times the chroma of 2 (sides 95, 130, 170 nm)",
         False, FIGURE,
     )  # fmt: skip
     return line | {"verdict": "cannot be decided: samples whose discs meet are refused"}
@@ -108,16 +108,16 @@ def trends(made: dict[tuple[float, float, float], Any], light: dict[tuple[float,
     mirror = np.array([-wi[0], 0.0, wi[2]])
     at = [float(made[130.0, 2.0, p].model.values_at(wi[None], mirror[None], np.array([600.0]))[0, 0]) for p in PACKINGS]
 
-    def told(values: list[float], unit: str = "") -> str:
+    def note(values: list[float], unit: str = "") -> str:
         return ", ".join(f"{v:.2g}{unit}" for v in values)
 
     return [
         ("diffuse light grows with the density (2 to 10 a um2, p = .5; sides 95, 130, 170 nm)", "brighter",
-         f"{told(brighter)} times", min(brighter) > 1.0),
+         f"{note(brighter)} times", min(brighter) > 1.0),
         ("larger particles scatter towards red", "mean wavelength rises", f"{middle[0]:.0f}, {middle[1]:.0f}, "
          f"{middle[2]:.0f} nm", bool(np.all(np.diff(middle) > 0))),
         ("far from contact the density moves the colour more than the packing does", "density > packing",
-         f"dE00 {told(moved)} against {told(by_packing)}", bool(np.mean(moved) > np.mean(by_packing))),
+         f"dE00 {note(moved)} against {note(by_packing)}", bool(np.mean(moved) > np.mean(by_packing))),
         ("packing takes the diffuse light from the mirror direction (130 nm, 2 a um2, 600 nm)", "falls with p",
          f"{at[0]:.3g}, {at[1]:.3g}, {at[2]:.3g} 1/sr at p = .1, .3, .5", at[0] > at[1] > at[2]),
     ]  # fmt: skip

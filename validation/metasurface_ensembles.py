@@ -43,7 +43,10 @@ BAR, MEAN_BAR, WITHIN_BAR, SIZE_BAR = 0.08, 0.06, 0.9, 0.03
 PATTERNS = 48
 SPECKLE, THEIR_DISCS = 0.04, 30  # what the bar allows for the solutions' own speckle, and how many discs they are of
 SPHERES = 130.0  # of a disc, and of a cell of the endless pattern
-DENSE, SIZES = "C", (65, 130, 260)  # the system with the strongest edges, and discs of how many spheres tell how strong
+DENSE, SIZES = (
+    "C",
+    (65, 130, 260),
+)  # the system with the strongest edges, and discs of how many spheres give their strength
 UP_TO = np.radians(60.0)  # beyond, a disc's edge sends out more than an endless layer has
 
 
@@ -59,7 +62,7 @@ def layer_of(data: Any) -> Monolayer:
     return Monolayer(surface, (Particle(1.0, radius, np.concatenate([-b, -a])),), structure)
 
 
-def judged(layer: Monolayer, spheres: int, realisations: int, seed: int = 0) -> tuple[Ratio, Array, Array]:
+def pattern_correction(layer: Monolayer, spheres: int, realisations: int, seed: int = 0) -> tuple[Ratio, Array, Array]:
     """Return the ratio, its standard errors `[s, i]` and their angles."""
     density, packing = layer.structure.density_per_nm2, layer.structure.packing
 
@@ -109,10 +112,10 @@ def with_disc_structure(layer: Monolayer, spheres: float) -> Monolayer:
     return dataclasses.replace(layer, structure=dataclasses.replace(structure, s=s))
 
 
-def judged_by_discs(
+def correction_by_discs(
     layer: Monolayer, discs: int, in_each: float, views: int = 240, lights: int = 24
 ) -> tuple[Ratio, Array, Array]:
-    """Return what `judged` does, fitted to discs of so many spheres in free surroundings, of light above alone.
+    """Return `pattern_correction`, fitted to discs of so many spheres in free surroundings, of light above alone.
 
     All discs are lit and seen from the same directions, so that their mean field is the coherent part, as the other
     code took it off.
@@ -262,7 +265,7 @@ class System:
         return cls(layer_of(data), data["theta_s_rad"], data["theta_i_rad"], truth, float(data["n_spheres_mean"]))
 
     def near(self, ours: Array, errors: Array, angles: Array) -> NDArray[np.bool_]:
-        """Tell where we are within two standard errors plus 4 %, `[s, i, pol_i]`.
+        """Return where we are within two standard errors plus 4 %, `[s, i, pol_i]`.
 
         Args:
             ours: as `truth`.
@@ -283,7 +286,7 @@ class System:
         Its ratio is fitted to such discs and multiplies the mean field with a disc's structure factor.
         """
         patch = with_disc_structure(self.layer, self.spheres)
-        ratio, errors, angles = judged_by_discs(patch, patterns, self.spheres)
+        ratio, errors, angles = correction_by_discs(patch, patterns, self.spheres)
         ours = light(patch, self.theta_s, self.theta_i, ratio)
         return distance(ours, self.truth, self.theta_s), float(np.mean(self.near(ours, errors, angles)))
 
@@ -331,7 +334,7 @@ def main(out_dir: str | Path = ".") -> list[dict[str, Any]]:
         theirs = System.read(name)
         layer, theta_s, theta_i, truth = theirs.layer, theirs.theta_s, theirs.theta_i, theirs.truth
         counts[name] = theirs.spheres
-        ratio, errors, angles = judged(layer, round(SPHERES), PATTERNS)
+        ratio, errors, angles = pattern_correction(layer, round(SPHERES), PATTERNS)
         ours, mean_field = light(layer, theta_s, theta_i, ratio), light(layer, theta_s, theta_i, None)
         few = theta_i < UP_TO
         found[name] = [distance(ours[:, which], truth[:, which], theta_s) for which in (few, few | True)]
@@ -349,7 +352,7 @@ def main(out_dir: str | Path = ".") -> list[dict[str, Any]]:
             limit = endless_limit(theirs, ratio, float(np.mean(theirs.at_angles(errors, angles)[:, -1])))
         if name in "BF":
             # as many spheres in all
-            large, _, _ = judged(layer, 260, PATTERNS // 2)
+            large, _, _ = pattern_correction(layer, 260, PATTERNS // 2)
             change = light(layer, theta_s, theta_i, large) / ours - 1
             sine = np.sin(theta_s)[:, None, None]
             large_sum, ours_sum = np.sum(sine * (1 + change) * ours, 0), np.sum(sine * ours, 0)

@@ -24,7 +24,7 @@ from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.mie import mie_coefficients
 from validation._film import canvas
 from validation._rows import finish, row
-from validation.metasurface_ensembles import distance, judged, light, of_discs
+from validation.metasurface_ensembles import distance, light, of_discs, pattern_correction
 
 FIGURE = "metasurface_mixtures.png"
 BAR = 0.12  # up to which the mean field is taken of one kind
@@ -62,7 +62,7 @@ def main(out_dir: str | Path = "out/validation") -> list[dict[str, Any]]:
     for each, (name, numbers) in zip(axes.flat, SYSTEMS.items()):
         layer = mixture(*numbers)
         alone = same_order(layer, 2, *middle_sizes(layer))
-        ratio, _, _ = judged(layer, 130, PATTERNS)
+        ratio, _, _ = pattern_correction(layer, 130, PATTERNS)
         solved, mean = light(alone, THETA, THETA, ratio), light(alone, THETA, THETA, None)
         ladder = light(dataclasses.replace(alone, correction=LADDER), THETA, THETA, None)
         discs = of_discs(layer, THETA, THETA, PATTERNS)

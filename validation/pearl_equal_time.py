@@ -2,10 +2,10 @@
 
 Guillen et al. 2020, figure 15, shows that both matter and gives no numbers. A lone sphere under the studio's soft
 boxes or under thin tubes, one scattering event, so that each path asks the material once and one wavelength can stand
-for four. The switches: "next event" trusts light that the walk meets not at all (its density is 0), "walk alone"
-trusts nothing else, "both" weighs them as the product does. One wavelength: the walk sees the first of the four alone
+for four. The switches: "next event" gives full weight to next-event estimation, "walk alone"
+gives it to the random walk, "both" weights them as the product does. One wavelength: the walk uses the first
 and carries all of the weight; it costs the same table reads as four here, where a walk written for one would save
-some, so equal numbers of walks are judged too. Errors are mean squares over the sphere's pixels against a long
+some, so equal numbers of paths are compared too. Errors are mean squares over the sphere's pixels against a long
 render, over twelve seeds; times are CPU seconds of the same renders, taken in turns.
 """
 
@@ -133,7 +133,7 @@ def measure(sphere: Sphere, name: str) -> tuple[dict[str, dict[str, Any]], Array
     return found, reference
 
 
-def judge(results: dict[str, dict[str, dict[str, Any]]], figure: str) -> list[dict[str, Any]]:
+def compare_rows(results: dict[str, dict[str, dict[str, Any]]], figure: str) -> list[dict[str, Any]]:
     """Ask for the importance of each technique, and that none shifts the mean."""
 
     def ratios(switch: str, what: str, timed: bool = True) -> tuple[list[float], list[float], str]:
@@ -203,7 +203,7 @@ def main(out_dir: str | Path) -> list[dict[str, Any]]:
     matplotlib.use("Agg")
     figure = "pearl_equal_time.png"
     results = {f"{name}, {light}": measure(Sphere(light), name) for name, light in RUNS}
-    rows = judge({name: found for name, (found, _) in results.items()}, figure)
+    rows = compare_rows({name: found for name, (found, _) in results.items()}, figure)
     draw(results, Path(out_dir), figure)
     return rows
 

@@ -80,7 +80,7 @@ def outside_limits(name: str) -> list[str]:
     return [f"{key} {values[key]:g}" for key, (low, high) in LIMITS.items() if not low <= values[key] <= high]
 
 
-def judge(tracks: dict[str, dict[str, tuple[Array, Array]]], figure: str) -> list[dict[str, Any]]:
+def compare_rows(tracks: dict[str, dict[str, tuple[Array, Array]]], figure: str) -> list[dict[str, Any]]:
     """Ask what the source says of its three materials."""
     rows = []
     for name, models in tracks.items():
@@ -155,7 +155,7 @@ def draw(tracks: dict[str, dict[str, tuple[Array, Array]]], figure: Path) -> Non
 
 
 def main(out_dir: Path) -> list[dict[str, Any]]:
-    """Bake the six materials, judge, draw, return the rows."""
+    """Bake the six materials, compare, draw, return the rows."""
     out_dir = Path(out_dir)
     out_dir.mkdir(parents=True, exist_ok=True)
     figure = out_dir / "pearl_measured_materials.png"
@@ -165,7 +165,7 @@ def main(out_dir: Path) -> list[dict[str, Any]]:
             tracks[how] = {name: {model: looks(key + suffix) for model, suffix in MODELS.items()}
                            for name, key in MATERIALS.items()}  # fmt: skip
     draw(tracks["published"], figure)
-    return in_both_balances(lambda: judge(tracks[energy_balance()], figure.name), WHY)
+    return in_both_balances(lambda: compare_rows(tracks[energy_balance()], figure.name), WHY)
 
 
 if __name__ == "__main__":

@@ -63,7 +63,7 @@ def outside(points: Array) -> Array:
     return np.asarray(np.any(side < 0, axis=1))
 
 
-def judge(figure: str) -> list[dict[str, Any]]:
+def compare_rows(figure: str) -> list[dict[str, Any]]:
     """Ask what the source says of tracks and of the second substrate."""
     rows = []
     shiny, matt = fans("C1")
@@ -148,7 +148,7 @@ def draw(out: Path, figure: str) -> None:
 def main(out_dir: str | Path) -> list[dict[str, Any]]:
     """Test the statements, draw, return the rows."""
     figure = "pearl_parameter_panels.png"
-    rows = in_both_balances(lambda: judge(figure))
+    rows = in_both_balances(lambda: compare_rows(figure))
     with with_balance("published"):  # the source's figures use its balance
         draw(Path(out_dir), figure)
     return rows

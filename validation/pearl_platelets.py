@@ -71,7 +71,7 @@ def row(claim: str, claimed: str, ours: str, holds: bool, figure: str) -> dict[s
 
 
 def main(out_dir: str | Path) -> list[dict[str, Any]]:
-    """Solve all platelets, draw curves and ribbons, and judge what the source says of them."""
+    """Solve all platelets, draw curves and ribbons, and compare them with the statements of the source."""
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
     figure = "pearl_platelets.png"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from validation._pearl import EXAMPLES, in_both_balances
-from validation._pearl_pictures import BOTTLE, LARGE, WALK_SPP, difference, picture, sheet, still, walked, where
+from validation._pearl_pictures import BOTTLE, LARGE, WALK_SPP, difference, picture, sheet, still, traced, where
 from validation._rows import finish, row
 
 LARGE_KNOB, CAR = (208, 208), (240, 136)
@@ -27,7 +27,7 @@ def contact_sheet(out: Path) -> list[dict[str, Any]]:
             knobs.append((f"bottle {number}'s pearl", picture(bsdf, "knob", LARGE_KNOB)))
     cars = []
     for name in ("front", "middle", "back"):
-        shot = picture(walked(EXAMPLES / f"car_{name}.toml"), "body", CAR, WALK_SPP, exposure=0.8)
+        shot = picture(traced(EXAMPLES / f"car_{name}.toml"), "body", CAR, WALK_SPP, exposure=0.8)
         cars.append((f"{name} car", shot))
     finish(sheet([shots, cars, knobs], 14.0), out, figure, dpi=110)
     on = where("bottle", BOTTLE)

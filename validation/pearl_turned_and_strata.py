@@ -16,7 +16,7 @@ from nacre.bsdf import Bsdf
 from nacre.light import spectrum_to_xyz
 from nacre.measure.spectrum import bsdf_spectrum
 from validation._pearl import EXAMPLES, GRID_NM, hue_distance
-from validation._pearl_pictures import BOTTLE, SUBSTRATES, WALK_SPP, c1, difference, picture, sheet, walked, where
+from validation._pearl_pictures import BOTTLE, SUBSTRATES, WALK_SPP, c1, difference, picture, sheet, traced, where
 from validation._rows import finish, row
 
 SIZE = (128, 128)
@@ -33,15 +33,15 @@ def turned(out: Path) -> list[dict[str, Any]]:
         line = []
         for angle in TURNS_DEG:
             flake = {"normal_deviation": deviation, "rotation_deg": [angle, 0, 0]}
-            bsdf = walked(c1(THIN, 100, SUBSTRATES["silica"], **flake))
+            bsdf = traced(c1(THIN, 100, SUBSTRATES["silica"], **flake))
             line.append((f"{name}, {angle} deg", picture(bsdf, "knob", SIZE, WALK_SPP)))
             if name == "isotropic":
                 peaks.append(lobe_peak_deg(bsdf))
         lines.append(line)
     flake = {"normal_deviation": [0.03, 0.2]}
-    last = walked(c1(THIN, 100, SUBSTRATES["silica"], **flake))
+    last = traced(c1(THIN, 100, SUBSTRATES["silica"], **flake))
     lines[0].append(("anisotropic y, 0 deg", picture(last, "knob", SIZE, WALK_SPP)))
-    sphere = walked(c1(THIN, 100, SUBSTRATES["silica"], rotation_deg=[10, 0, 0]))
+    sphere = traced(c1(THIN, 100, SUBSTRATES["silica"], rotation_deg=[10, 0, 0]))
     lines[1].append(("isotropic, 10 deg, sphere", picture(sphere, "sphere", SIZE, WALK_SPP)))
     finish(sheet(lines, 9.5), out, figure, dpi=120)
     moved = [abs(peak - peaks[0]) for peak in peaks]
@@ -71,7 +71,7 @@ def strata_and_foil(out: Path) -> list[dict[str, Any]]:
     data = dict(both.data)
     line, on = [], where("knob", SIZE)
     for name, strata in (("both strata", [0, 1]), ("upper alone", [0]), ("lower alone", [1])):
-        bsdf = walked({**data, "strata": [data["strata"][i] for i in strata]})
+        bsdf = traced({**data, "strata": [data["strata"][i] for i in strata]})
         line.append((name, picture(bsdf, "knob", SIZE, WALK_SPP)))
     foil = nacre.load(EXAMPLES / "foil.toml").bsdf(GRID_NM)
     bottle = picture(foil, "bottle", BOTTLE, WALK_SPP, exposure=1.5)

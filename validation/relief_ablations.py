@@ -91,7 +91,7 @@ class Ablations:
         print(" | ".join((claim, claimed, ours, verdict)), flush=True)
 
     def sampling(self) -> None:
-        """1x1 to 8x8 samples a feature; the source judges its fit of the reflection, we the picture."""
+        """1x1 to 8x8 samples a feature; the source evaluates its fit of the reflection, we the picture."""
         for name, label in (
             ("circle/diffuse_disk_iri__p0.8", "0.8 um features, blur 0.10 um"),
             ("real/diffuse_disk_iri__p2", "2 um features, blur 0.65 um"),

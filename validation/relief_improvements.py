@@ -108,8 +108,8 @@ def main(out_dir: str | Path) -> list[dict[str, Any]]:
         after = np.array(found[way])
         matters = before > 2.0
         ratio = float(np.median(after[matters] / before[matters]))
-        told = f"mean dE00 {before.mean():.1f} to {after.mean():.1f}; median ratio where it was above 2: {ratio:.2f}"
-        rows.append(row(f"{way}: does it halve the error?", "taken if it does", f"{told}: not taken",
+        note = f"mean dE00 {before.mean():.1f} to {after.mean():.1f}; median ratio where it was above 2: {ratio:.2f}"
+        rows.append(row(f"{way}: does it halve the error?", "taken if it does", f"{note}: not taken",
                         ratio > HALF, FIGURE))  # fmt: skip
     return rows
 

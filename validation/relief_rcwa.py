@@ -300,7 +300,7 @@ def _again(groups: list[dict[str, Any]], orders: dict[str, Any]) -> dict[str, An
 
 
 def _map(groups: list[dict[str, Any]], orders: dict[str, Any], out_dir: str | Path) -> list[dict[str, Any]]:
-    """The error over slope and feature: fitted to every second grating, judged on the others."""
+    """The error over slope and feature: fitted to every second grating, evaluated on the others."""
     chosen, mean, worst = [], [], []
     for group in groups:
         if group["kind"] in KINDS:

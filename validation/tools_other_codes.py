@@ -1,7 +1,7 @@
 """What other codes give for the same numbers, and the worst difference: stacks, spheres, disks, slabs.
 
 `tmm` runs here; what SMUTHI, miepython, a Monte Carlo of hard disks and a walk through photonic glass gave is kept in
-the shared reference data, which none of ours made. Gratings are judged in `relief_rcwa`, patterns of spheres in
+the shared reference data, which none of ours made. Gratings are compared in `relief_rcwa`, patterns of spheres in
 `metasurface_ensembles`, colours of reliefs in `relief_published_renders`.
 """
 

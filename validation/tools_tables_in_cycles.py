@@ -175,14 +175,14 @@ def main(out_dir: str | Path, names: tuple[str, ...] = tuple(MATERIALS)) -> list
                 theirs = cycles_picture(exe, folder, work, where, "nodes", int(share * CYCLES_SAMPLES))
                 gap = difference(ours, theirs)
                 mean = float(gap[mask].mean())
-                told = f"{mean:.2f} (95 % of pixels below {np.quantile(gap[mask], 0.95):.2f})"
+                note = f"{mean:.2f} (95 % of pixels below {np.quantile(gap[mask], 0.95):.2f})"
                 if title == "white":
                     osl = difference(ours, cycles_picture(exe, folder, work, where, "osl", CYCLES_SAMPLES // 4))
-                    told += f"; by shader.osl {osl[mask].mean():.2f}"
+                    note += f"; by shader.osl {osl[mask].mean():.2f}"
                     claim = f"{name}, even white light: Cycles against Mitsuba, mean dE00 (one film: {MATERIALS[name]})"
-                    rows.append(row(claim, f"<= {BAR:g}", told, mean <= BAR, FIGURE))
+                    rows.append(row(claim, f"<= {BAR:g}", note, mean <= BAR, FIGURE))
                 else:
-                    rows.append(row(f"{name}, studio's light: the same", "stated", told, True, FIGURE))
+                    rows.append(row(f"{name}, studio's light: the same", "stated", note, True, FIGURE))
                 error = np.clip(gap * mask / 5, 0, 1)
                 for column, (what, image) in enumerate(
                     (("Mitsuba", shown(ours)), ("Cycles", shown(theirs)), ("dE00, 0 to 5", error))

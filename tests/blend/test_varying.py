@@ -287,7 +287,7 @@ def test_a_recipe_may_be_known_in_a_part_of_the_colours_only(ends: tuple[float, 
     assert (found.wavelengths_nm[0], found.wavelengths_nm[-1]) == ends
 
 
-def test_any_number_may_vary_where_no_colour_can_be_told() -> None:
+def test_any_number_may_vary_where_colours_are_undefined() -> None:
     base = {"substrate": {"n": 1.5}, "base": {"albedo": {"formula": "0.1+0.8*u"}}}
     even = {**STAIN, **base, "layers": [], "wavelengths": {"min_nm": 450.0, "max_nm": 650.0}}
     assert len(material(even).bsdf().lobes) >= 4

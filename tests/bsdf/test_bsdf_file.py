@@ -108,7 +108,7 @@ def test_the_header_says_what_is_inside(stored: Path) -> None:
 
 def test_a_newer_version_is_refused(stored: Path) -> None:
     assert "newer" in refused(edit_header(stored, {"version": VERSION + 1}))
-    # whoever wrote it cannot fill the screen: 40 letters of its name are told
+    # whoever wrote it cannot fill the screen: 40 letters of its name are shown
     said = refused(edit_header(stored, {"version": VERSION + 1, "nacre": "x" * 1000}))
     assert said.count("x" * 40) == 1 and "x" * 41 not in said
 
@@ -205,7 +205,7 @@ def test_what_is_not_finite_is_never_written(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_that_does_not_exist_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_does_not_exist_is_reported(tmp_path: Path) -> None:
     with pytest.raises(NacreError, match="does not exist"):
         bsdf().save(tmp_path / "no" / "x.nacre")
 

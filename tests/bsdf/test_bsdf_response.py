@@ -91,7 +91,7 @@ def test_interpolation_is_exact_for_bilinear_tables() -> None:
     np.testing.assert_allclose(take_uniform(table, np.array([0.5]), -2)[:, 0, 0], table[:, 2, 0])
 
 
-def test_wrong_shapes_are_told() -> None:
+def test_wrong_shapes_are_reported() -> None:
     import dataclasses
 
     good = dielectric(1.5)

@@ -1,4 +1,4 @@
-"""Work of minutes is told always, asked about on a terminal only, and --yes answers."""
+"""Work of minutes is always announced, confirmed on a terminal only, and --yes confirms."""
 
 import click
 import pytest
@@ -27,16 +27,16 @@ def test_a_person_is_asked_before_minutes(monkeypatch, capsys, asked, terminal, 
 
 
 @pytest.mark.filterwarnings("always")
-def test_a_warning_is_one_line_without_the_code_that_told_it(tmp_path, capsys):
+def test_a_warning_is_one_line_without_its_source_code(tmp_path, capsys):
     recipe = tmp_path / "dense.toml"
     recipe.write_text(
         'family = "metasurface"\nsubstrate = "air"\n[particle]\nmaterial = "Ag"\nradius_nm = 60\n'
         '[monolayer]\ncoverage = 0.2\n[model]\ncorrection = "qca-balanced"\nmultipole_order = 2\n'
     )
     assert run(["spectrum", str(recipe), "--wavelengths-nm", "500:500:10", "--angles-deg", "0"]) == 0
-    told = capsys.readouterr().err.strip().splitlines()
-    assert len(told) == 1
-    assert told[0].startswith(f"{recipe}: the mean field is taken of metal spheres with nothing below")
+    reported = capsys.readouterr().err.strip().splitlines()
+    assert len(reported) == 1
+    assert reported[0].startswith(f"{recipe}: the mean field is taken of metal spheres with nothing below")
 
 
 def test_yes_may_stand_anywhere(capsys):
@@ -48,9 +48,7 @@ def test_yes_may_stand_anywhere(capsys):
     ("seconds", "pace", "lines", "share"),
     [(200.0, 25.0, 4, 1.0), (200.0, 25.0, 4, 0.2), (200.0, 1e9, 1, 1.0), (30.0, 0.0, 0, 1.0)],
 )
-def test_where_no_terminal_is_minutes_of_work_tell_how_far_they_are_in_lines_of_their_own(
-    monkeypatch, capsys, seconds, pace, lines, share
-):
+def test_without_a_terminal_long_work_reports_progress_in_lines(monkeypatch, capsys, seconds, pace, lines, share):
     """On a machine that gives it a fifth of its cores, also how long the rest takes of free ones."""
     clock = iter(range(0, 1000, 10))  # each look at the clock finds it ten seconds on
     monkeypatch.setattr(common, "_is_terminal", lambda: False)
@@ -62,13 +60,13 @@ def test_where_no_terminal_is_minutes_of_work_tell_how_far_they_are_in_lines_of_
     watchers = list(parallel._progress_listeners)
     common.listener(False)("a.toml: 10 patterns: about 3 minutes", seconds)
     for done in range(1, 11):
-        for tell in list(parallel._progress_listeners):
-            tell(done, 10)
-    told = [line for line in capsys.readouterr().err.splitlines() if "of 10 patterns" in line]
-    assert len(told) == lines
+        for listener in list(parallel._progress_listeners):
+            listener(done, 10)
+    reported = [line for line in capsys.readouterr().err.splitlines() if "of 10 patterns" in line]
+    assert len(reported) == lines
     if lines:
-        assert told[-1].startswith("10 of 10 patterns, after ")
+        assert reported[-1].startswith("10 of 10 patterns, after ")
     if lines > 1:
         rest = "70 seconds left" if share == 1.0 else "14 seconds left on free cores, 70 seconds as busy as it is"
-        assert told[0] == f"3 of 10 patterns, about {rest}"
+        assert reported[0] == f"3 of 10 patterns, about {rest}"
     assert parallel._progress_listeners == watchers

@@ -48,7 +48,7 @@ def test_a_missing_package_is_named_with_the_command_that_brings_it(
 @pytest.mark.parametrize(
     ("name", "state"), [(None, "cannot be loaded"), ("scalar_spectral", "780 times slower")], ids=["none", "scalar"]
 )
-def test_without_a_good_variant_the_way_out_is_told(monkeypatch: pytest.MonkeyPatch, name: Any, state: str) -> None:
+def test_without_a_good_variant_the_remedy_is_stated(monkeypatch: pytest.MonkeyPatch, name: Any, state: str) -> None:
     report = variant.report()
     broken = type(report)(**{**report.__dict__, "variant": name, "llvm_used": None, "advice": "apt install libllvm19"})
     monkeypatch.setattr(variant, "report", lambda: broken)
@@ -58,7 +58,7 @@ def test_without_a_good_variant_the_way_out_is_told(monkeypatch: pytest.MonkeyPa
     assert "libllvm19" in findings["LLVM"].advice
 
 
-def test_folders_memory_and_gpu_are_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_folders_memory_and_gpu_are_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "access", lambda *_: False)
     monkeypatch.setattr(shutil, "which", lambda _: "/usr/bin/nvidia-smi")
     monkeypatch.setattr(os, "sysconf", lambda key: 4096 if key == "SC_PAGE_SIZE" else 1000)

@@ -229,12 +229,12 @@ def test_a_key_that_is_not_text_is_named(key: Any, where: str) -> None:
 @pytest.mark.parametrize("depth", [100, 900, 100_000])
 @pytest.mark.parametrize("kind", [dict, list])
 @pytest.mark.parametrize("key", ["substrate", "layers", "unknown"])
-def test_deep_nesting_is_told(depth: int, kind: type, key: str) -> None:
+def test_deep_nesting_is_reported(depth: int, kind: type, key: str) -> None:
     with pytest.raises(NacreError, match="nested more than"):
         nacre.material({**FILM, key: nested(depth, kind)})
 
 
-def test_a_recipe_that_holds_itself_is_told() -> None:
+def test_a_recipe_that_holds_itself_is_reported() -> None:
     data = dict(FILM)
     data["layers"] = [data]
     with pytest.raises(NacreError, match="nested more than"):
@@ -267,7 +267,7 @@ def closed(film: Path, what: str, arguments: str) -> subprocess.CompletedProcess
     )
 
 
-def test_a_closed_or_full_stdout_is_told_and_files_are_written_all_the_same(film: Path) -> None:
+def test_a_closed_or_full_stdout_is_reported_and_files_are_written_all_the_same(film: Path) -> None:
     for what in (">&-", ">/dev/full"):
         found = closed(film, what, "spectrum film.toml --wavelengths-nm 550")
         assert found.returncode == 2 and found.stderr.count("\n") == 1, found.stderr
@@ -279,7 +279,7 @@ def test_a_closed_or_full_stdout_is_told_and_files_are_written_all_the_same(film
         assert closed(film, what, "spectrum none.toml").returncode == 2
 
 
-def test_a_full_disk_is_told_of_an_exr(film: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_reported_of_an_exr(film: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from nacre.formats.half_angle_tables import write_slice
 
     class Full:

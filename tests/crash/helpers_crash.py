@@ -232,13 +232,13 @@ def _serve() -> None:
     out = os.dup(1)
     for line in sys.stdin:
         arguments, folder = json.loads(line)
-        told, tell = os.pipe()
+        reading_end, writing_end = os.pipe()
         pid = os.fork()
         if pid == 0:
             os.setsid()
             os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-            os.dup2(tell, 1)
-            os.dup2(tell, 2)
+            os.dup2(writing_end, 1)
+            os.dup2(writing_end, 2)
             os.chdir(folder)
             status = 1
             try:
@@ -247,12 +247,12 @@ def _serve() -> None:
                 sys.stdout.flush()
                 sys.stderr.flush()
                 os._exit(status)
-        os.close(tell)
+        os.close(writing_end)
         os.write(out, f"{pid}\n".encode())
         said = b""
-        while piece := os.read(told, 65536):  # until the child, and whatever it started, is gone
+        while piece := os.read(reading_end, 65536):  # until the child, and whatever it started, is gone
             said = (said + piece)[-2000:]
-        os.close(told)
+        os.close(reading_end)
         _, status = os.waitpid(pid, 0)
         os.write(
             out, (json.dumps([os.waitstatus_to_exitcode(status), said.decode("utf-8", "replace")]) + "\n").encode()

@@ -13,7 +13,7 @@ WAVES, HIDDEN = 3.0, np.array([0.8, 0.3])  # orders over the bounds of a length;
 
 
 def _seen(place: np.ndarray) -> np.ndarray:
-    """Two lines of a film of no dispersion: the orders look alike, and only the second line tells them apart."""
+    """Two lines of a film of no dispersion: the orders look alike, and only the second line distinguishes them."""
     phase = 2.0 * np.pi * WAVES * place[0]
     return np.array([np.cos(phase), np.sin(phase), 0.3 * np.cos(phase / 5.0), place[1]])
 

@@ -106,14 +106,14 @@ def test_a_second_run_reuses_finished_rows(tmp_path: Path, capsys: pytest.Captur
     assert summary["status"] == "done" and summary["done"] == 4 and summary["met"] == 3
     table = list(csv.DictReader((tmp_path / "o" / "many.csv").read_text().splitlines()))
     assert [row["met"] for row in table] == ["yes", "yes", "yes", "no"]
-    for row, told in zip(summary["rows"], table, strict=True):
+    for row, reported in zip(summary["rows"], table, strict=True):
         made = nacre.load(tmp_path / "o" / row["folder"])
         assert (
             row["total_nm"]
             == pytest.approx(made.get("layers[0].thickness_nm"))
-            == pytest.approx(float(told["total_nm"]), abs=0.01)
+            == pytest.approx(float(reported["total_nm"]), abs=0.01)
         )
-        assert made.get("layers[0].thickness_nm") == pytest.approx(float(told["layers[0].thickness_nm"]), rel=1e-5)
+        assert made.get("layers[0].thickness_nm") == pytest.approx(float(reported["layers[0].thickness_nm"]), rel=1e-5)
         seen = nacre.gamut(made, ["layers[0].thickness_nm=60:160"], points=8).lab[0]  # of its own number
         np.testing.assert_allclose(seen, row["targets"][0]["reached"]["lab"], atol=0.3)  # by another grid
         assert row["targets"][0]["de00"] == pytest.approx(delta_e_2000(np.array(row["lab"][0]), seen), abs=0.3)
@@ -148,9 +148,9 @@ def test_an_interrupt_leaves_finished_rows(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         nacre.design.many(TARGET, [[50, v, 0] for v in range(40)], tmp_path / "o", progress=stop)
-    told = json.loads((tmp_path / "o" / "many.json").read_text())
-    assert told["status"] == "interrupted" and 2 <= told["done"] < 40 and told["count"] == 40
-    assert all((tmp_path / "o" / row["folder"] / "recipe.toml").is_file() for row in told["rows"])
+    reported = json.loads((tmp_path / "o" / "many.json").read_text())
+    assert reported["status"] == "interrupted" and 2 <= reported["done"] < 40 and reported["count"] == 40
+    assert all((tmp_path / "o" / row["folder"] / "recipe.toml").is_file() for row in reported["rows"])
 
 
 def test_a_foreign_folder_is_refused(tmp_path: Path) -> None:

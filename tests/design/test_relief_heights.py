@@ -33,9 +33,15 @@ ROUGH = {**RELIEF, "coherence": {"sigma": 1.0}}  # whose window fits a tile of 8
 COLOUR = {"geometry": "30as15", "colour": "#3060c0", "tolerance": 5}
 
 
-def _target(*wants, **more):
+def _target(*target_tables, **more):
     free = {"heights": [0, 0.8], "features": 32}
-    return {"recipe": RELIEF, "parameters": free, "target": list(wants), "search": {"seconds": 60, "seed": 1}, **more}
+    return {
+        "recipe": RELIEF,
+        "parameters": free,
+        "target": list(target_tables),
+        "search": {"seconds": 60, "seed": 1},
+        **more,
+    }
 
 
 def _read(data):
@@ -122,10 +128,10 @@ def test_the_tolerance_of_heights_is_the_process_noise():
 def test_a_relief_reaches_its_target_colour_and_writes_all_files(tmp_path):
     target = {**_target(COLOUR), "search": {"seconds": 8}, "parameters": {"heights": [0, 0.8], "features": 16}}
     found = nacre.design(target, tmp_path / "out")
-    told = json.loads((tmp_path / "out" / "design.json").read_text(encoding="utf-8"))
-    want = told["solutions"][0]["targets"][0]
+    reported = json.loads((tmp_path / "out" / "design.json").read_text(encoding="utf-8"))
+    want = reported["solutions"][0]["targets"][0]
     assert want["geometry"] == "30as15" and want["de00"] < 10.0
-    assert found.summary["solutions"] == told["solutions"]
+    assert found.summary["solutions"] == reported["solutions"]
     assert nacre.load(tmp_path / "out").family == "relief"
     nacre.design(target, tmp_path / "out", resume=True)
 

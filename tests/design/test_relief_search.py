@@ -275,8 +275,8 @@ def test_a_robust_design_is_less_sensitive_to_noise(tmp_path: Path) -> None:
     x = {}
     for name, noise in (("plain", "0.0"), ("robust", "0.3")):
         x[name] = run(write(tmp_path, starts="2", noise=noise), tmp_path / name).best.changes["heights"].ravel() / 0.6
-    judge = Evaluator(replace(problem, noise=0.3), 6)
-    draws = [float(np.mean([robust_objective(judge, seed)(x[name])[0] for seed in range(100, 106)])) for name in x]
+    scorer = Evaluator(replace(problem, noise=0.3), 6)
+    draws = [float(np.mean([robust_objective(scorer, seed)(x[name])[0] for seed in range(100, 106)])) for name in x]
     assert draws[1] < draws[0]
 
 

@@ -48,8 +48,8 @@ def film(*thicknesses: float, **more: Any) -> dict[str, Any]:
 def asked(*angles: float, hidden: dict[str, Any], **more: Any) -> dict[str, Any]:
     """A target of the colours that a hidden recipe has."""
     made = nacre.material(hidden)
-    wants = [{"geometry": f"specular {a:g}", "lab": lab_of(made, a).tolist(), "tolerance": 1.0} for a in angles]
-    return {"target": wants, "search": {"seconds": 8, "solutions": 2}, **more}
+    target_tables = [{"geometry": f"specular {a:g}", "lab": lab_of(made, a).tolist(), "tolerance": 1.0} for a in angles]
+    return {"target": target_tables, "search": {"seconds": 8, "solutions": 2}, **more}
 
 
 @pytest.mark.full
@@ -262,7 +262,7 @@ def test_the_search_and_the_final_evaluation_agree_on_spectra(tmp_path: Path, ha
     nm = np.r_[430.0:561.0:4.0, 600.0:721.0:4.0]
     csv = tmp_path / "edge.csv"
     csv.write_text("".join(f"{x:g},{float(x > 580.0):g}\n" for x in nm))
-    wants = [{"geometry": "specular 0", "spectrum": str(csv)}, {"geometry": "specular 30", "colour": "#305080"}]
+    target_tables = [{"geometry": "specular 0", "spectrum": str(csv)}, {"geometry": "specular 30", "colour": "#305080"}]
     target = read_task(
         {
             "recipe": {
@@ -271,7 +271,7 @@ def test_the_search_and_the_final_evaluation_agree_on_spectra(tmp_path: Path, ha
                 "layers": [{"material": ("TiO2", "SiO2")[i % 2], "thickness_nm": (75, 115)[i % 2]} for i in range(9)],
             },
             "parameters": {"layers[*].thickness_nm": [5, 300]},
-            "target": wants[: 1 + has_colour],
+            "target": target_tables[: 1 + has_colour],
         }
     )
     engine = choose_search(target, 0)
@@ -279,9 +279,9 @@ def test_the_search_and_the_final_evaluation_agree_on_spectra(tmp_path: Path, ha
     goals, rows = engine.problem.merit, geometries_of(target.targets)
     seen = stack_factors(target.material, rows, goals.wavelengths_nm)
     assert seen is not None
-    judged, _ = evaluate(target.material, target.targets, target.spec.light)
+    evaluated, _ = evaluate(target.material, target.targets, target.spec.light)
     # to the other quadrature's steps of 1 and 4 nm; with the band between it is 30 % more
-    assert goals.distances(seen)[0] == pytest.approx(judged[0].distance, rel=0.02)
+    assert goals.distances(seen)[0] == pytest.approx(evaluated[0].distance, rel=0.02)
 
 
 @pytest.mark.full

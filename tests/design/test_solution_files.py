@@ -68,7 +68,7 @@ def test_the_sensitivity_of_spectra_is_in_per_cent(tmp_path: Path) -> None:
         "search": {"seconds": 1, "solutions": 1},
     }
     design = nacre.design(target, tmp_path / "out")
-    told = design.best.facts["sensitivity"][0]
+    reported = design.best.facts["sensitivity"][0]
     thickness = design.best.changes["layers[0].thickness_nm"]
     ends = [
         design.best.material.vary({"layers[0].thickness_nm": thickness * (1 + step)})
@@ -77,4 +77,4 @@ def test_the_sensitivity_of_spectra_is_in_per_cent(tmp_path: Path) -> None:
         for step in (-0.01, 0.01)
     ]
     rms = 0.5 * 100.0 * np.sqrt(np.mean((ends[1] - ends[0]) ** 2))
-    assert "de00_of_1_percent" not in told and told["rms_percent_of_1_percent"] == pytest.approx(rms, rel=0.3)
+    assert "de00_of_1_percent" not in reported and reported["rms_percent_of_1_percent"] == pytest.approx(rms, rel=0.3)

@@ -79,8 +79,8 @@ def test_an_unwritable_folder_is_refused_before_the_search(
     full = type(shutil.disk_usage(tmp_path))(10**9, 10**9 - 1000, 1000)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: full)
     assert command(["design", str(tmp_path / "t.toml"), "-o", str(tmp_path / "out")]) == 2
-    told = capsys.readouterr().err
-    assert "0.0 MB are left on its disk" in told and told.count("\n") == 1
+    reported = capsys.readouterr().err
+    assert "0.0 MB are left on its disk" in reported and reported.count("\n") == 1
     assert sorted(p.name for p in tmp_path.iterdir()) == ["note.txt", "t.toml"]
 
 
@@ -124,9 +124,9 @@ def test_a_recipe_is_refused_as_a_target(tmp_path: Path) -> None:
 
 def test_report_and_summary_agree_on_the_time(tmp_path: Path) -> None:
     design = nacre.design(TARGET, tmp_path / "out")
-    told = json.loads((tmp_path / "out" / "design.json").read_text())["seconds"]
-    assert design.seconds == told
-    assert f"answers, {told:.1f} s." in (tmp_path / "out" / "report.html").read_text()
+    reported = json.loads((tmp_path / "out" / "design.json").read_text())["seconds"]
+    assert design.seconds == reported
+    assert f"answers, {reported:.1f} s." in (tmp_path / "out" / "report.html").read_text()
 
 
 @pytest.mark.full
@@ -134,7 +134,7 @@ def test_report_and_summary_agree_on_the_time(tmp_path: Path) -> None:
 def test_a_resumed_search_does_not_regress(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limits: dict[str, str]
 ) -> None:
-    """A search compares by its own route: here one that takes another answer for the best than the judge does."""
+    """A search compares by its own route: here its best answer is not that of the final evaluation."""
     target: dict[str, Any] = {key: value for key, value in TARGET.items() if key != "parameters"}
     target |= {
         "layers": {"palette": ["SiO2"], "max_layers": 1},

@@ -30,9 +30,9 @@ LOOKS = ["specular 0", "specular 60", "diffuse 0", "diffuse 60"]
 def _target(hidden, free, seconds):
     seen = simulate_measurement(hidden, [Geometry.read(at, "") for at in LOOKS])
     labs = xyz_to_lab(spectrum_to_xyz(seen.factors, seen.wavelengths_nm, "D65", "10deg"), white_xyz("D65", "10deg"))
-    wants = [{"geometry": at, "lab": lab.tolist(), "tolerance": 1.5} for at, lab in zip(LOOKS, labs)]
+    target_tables = [{"geometry": at, "lab": lab.tolist(), "tolerance": 1.5} for at, lab in zip(LOOKS, labs)]
     return read_task(
-        {"recipe": START, "parameters": free, "target": wants, "search": {"seconds": seconds, "solutions": 1}}
+        {"recipe": START, "parameters": free, "target": target_tables, "search": {"seconds": seconds, "solutions": 1}}
     )
 
 

@@ -56,10 +56,15 @@ def labs_of(recipe: dict[str, Any], walks: int = 1 << 16) -> np.ndarray:
 
 
 def target(start: dict[str, Any], free: dict[str, Any], labs: Any, seconds: float = 10.0) -> dict[str, Any]:
-    wants = [
+    target_tables = [
         {"geometry": f"45as{a}", "lab": list(map(float, lab)), "tolerance": WITHIN} for a, lab in zip(ANGLES, labs)
     ]
-    return {"recipe": start, "parameters": free, "target": wants, "search": {"seconds": seconds, "solutions": 1}}
+    return {
+        "recipe": start,
+        "parameters": free,
+        "target": target_tables,
+        "search": {"seconds": seconds, "solutions": 1},
+    }
 
 
 def shop(count: int) -> dict[str, Any]:
@@ -170,7 +175,7 @@ def test_a_known_pigment_is_recovered_and_the_other_removed(tmp_path: Path) -> N
     assert np.all(delta_e_2000(wanted, labs_of(dict(made.data))) <= WITHIN)
     kinds = [p["coatings"][0]["material"] for p in made.data["strata"][0]["platelets"]]
     assert kinds == ["TiO2"]
-    # the colour at six angles tells thickness and amount of one pigment apart
+    # the colour at six angles distinguishes thickness and amount of one pigment
     assert made.get("strata[0].platelets[0].coatings[0].thickness_nm") == pytest.approx(HIDDEN_NM, rel=0.05)
     assert made.get("strata[0].platelets[0].volume_fraction") == pytest.approx(HIDDEN_AMOUNT, rel=0.15)
 
@@ -204,8 +209,8 @@ def test_the_sensitivity_of_a_pigment_has_no_monte_carlo_noise() -> None:
         "base.albedo",
     ]
     _, seen = evaluate(made, read.targets, read.spec.light, seed=1, seconds=0.1)
-    told = [sensitivity(made, chosen, read.targets, read.spec.light, seed, 10.0, seen) for seed in (0, 1)]
-    assert told[0] == told[1] and told[0][0]["path"].endswith("thickness_nm")
+    lists = [sensitivity(made, chosen, read.targets, read.spec.light, seed, 10.0, seen) for seed in (0, 1)]
+    assert lists[0] == lists[1] and lists[0][0]["path"].endswith("thickness_nm")
     # far more walks than a design has time for agree
     ends = [labs_of(made.vary({chosen[1]: nm}).data, 1 << 18) for nm in (95.0 * 0.99, 95.0 * 1.01)]
-    assert told[0][0]["de00_of_1_percent"] == pytest.approx(0.5 * delta_e_2000(*ends).max(), rel=0.15)
+    assert lists[0][0]["de00_of_1_percent"] == pytest.approx(0.5 * delta_e_2000(*ends).max(), rel=0.15)

@@ -173,7 +173,7 @@ BAD = {
     "a spectrum that is not there": (task(target=[{"geometry": "specular 0", "spectrum": "no.csv"}]), "does not exist"),
     "an unknown lamp": (task(light={"illuminants": ["D66"]}), "D65"),
     "an unknown observer": (task(light={"observer": "3deg"}), "10deg"),
-    "spreads without wants": (task(target=None, tolerance={"layers[*].thickness_nm": "2%"}), "target is missing"),
+    "spreads without targets": (task(target=None, tolerance={"layers[*].thickness_nm": "2%"}), "target is missing"),
     "a spread of nothing": (task(tolerance={"layers[9].thickness_nm": "2%"}), "layers[9]"),
     "a spread that is none": (task(tolerance={"layers[0].thickness_nm": "much"}), "percentage"),
     "both forms of target": (task(target={"kind": "uniform"}), "write [[target]]"),

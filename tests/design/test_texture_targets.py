@@ -163,7 +163,7 @@ def formulation(values: list[float]) -> dict[str, Any]:
 
 
 @pytest.mark.full
-def test_a_formulation_tells_two_silvers_apart_by_their_sparkle() -> None:
+def test_a_formulation_distinguishes_two_silvers_by_their_sparkle() -> None:
     data = formulation([1.0, 1.0])
     task = read_formulation(data)
     paint = _paint(task, task.library.pigment[1:], None)

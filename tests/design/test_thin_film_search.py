@@ -133,8 +133,8 @@ def test_the_compiled_merit_function_agrees_with_the_reference() -> None:
 
     ours = residuals(d, True)
     jacobian = s.jacobian.copy()
-    judged = goals.residuals(s.spectra)
-    assert abs(np.sort(ours) - np.sort(judged)).max() < 1e-9
+    evaluated = goals.residuals(s.spectra)
+    assert abs(np.sort(ours) - np.sort(evaluated)).max() < 1e-9
     for j in range(3):
         step = np.zeros(3)
         step[j] = 1e-3

@@ -40,16 +40,16 @@ def oxide(tmp_path: Path) -> Path:
 def events(function: str, request: dict[str, object]) -> list[dict[str, object]]:
     """Start a job as the extension does: its input stays open until the last event."""
     command = [sys.executable, "-m", "nacre.studio.subprocess_jobs", f"nacre.studio.blender:{function}"]
-    told: list[dict[str, object]] = []
+    reported: list[dict[str, object]] = []
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as job:
         assert job.stdin is not None and job.stdout is not None
         job.stdin.write(json.dumps(request).encode() + b"\n")
         job.stdin.flush()
         for line in job.stdout:
-            told.append(json.loads(line))
-            if told[-1].get("kind") in ("done", "error"):
+            reported.append(json.loads(line))
+            if reported[-1].get("kind") in ("done", "error"):
                 break
-    return told
+    return reported
 
 
 def test_the_zip_has_a_manifest_of_blenders_schema_and_the_solved_recipe(oxide: Path, tmp_path: Path) -> None:
@@ -92,11 +92,11 @@ def test_the_axis_of_the_table_holds_the_colour_of_each_value(oxide: Path, tmp_p
         assert np.abs(seen - wanted).max() < 0.02  # a tenth of the least difference between two neighbouring hues
 
 
-def test_a_job_tells_progress_and_writes_numbers_and_thumbnail(oxide: Path, tmp_path: Path) -> None:
+def test_a_job_reports_progress_and_writes_numbers_and_thumbnail(oxide: Path, tmp_path: Path) -> None:
     folder = tmp_path / "solved"
     request = {"recipe": str(oxide), "folder": str(folder), "numbers": {"surface.roughness": 0.3}}
-    told = events("solve", request)
-    assert told[0]["kind"] == "progress" and told[-1] == {"kind": "done"}
+    reported = events("solve", request)
+    assert reported[0]["kind"] == "progress" and reported[-1] == {"kind": "done"}
     facts = json.loads((folder / "material.json").read_text())
     assert {n["path"]: n["value"] for n in facts["numbers"]}["surface.roughness"] == 0.3
     picture = np.asarray(Image.open(folder / "thumbnail.png"))
@@ -106,8 +106,8 @@ def test_a_job_tells_progress_and_writes_numbers_and_thumbnail(oxide: Path, tmp_
 
 def test_a_job_ends_with_the_error_of_a_bad_number_and_writes_nothing(oxide: Path, tmp_path: Path) -> None:
     folder = tmp_path / "solved"
-    told = events("solve", {"recipe": str(oxide), "folder": str(folder), "numbers": {"surface.roughness": 7.0}})
-    assert told[-1]["kind"] == "error" and "surface.roughness" in str(told[-1]["error"])
+    reported = events("solve", {"recipe": str(oxide), "folder": str(folder), "numbers": {"surface.roughness": 7.0}})
+    assert reported[-1]["kind"] == "error" and "surface.roughness" in str(reported[-1]["error"])
     assert not folder.exists()
 
 
@@ -120,8 +120,8 @@ def test_a_brushed_film_keeps_its_azimuth_and_has_no_axis() -> None:
 def test_thumbnails_are_written_and_stay_empty_for_what_a_table_cannot_hold(oxide: Path, tmp_path: Path) -> None:
     names = [str(oxide), "relief/star", "no-such-recipe"]
     request = {"recipes": [{"recipe": one, "file": str(tmp_path / "t" / f"{i}.png")} for i, one in enumerate(names)]}
-    told = events("thumbnails", request)
-    assert [event["kind"] for event in told] == ["progress"] * 3 + ["done"]
+    reported = events("thumbnails", request)
+    assert [event["kind"] for event in reported] == ["progress"] * 3 + ["done"]
     assert np.asarray(Image.open(tmp_path / "t" / "0.png")).shape == (128, 128, 4)
     assert [(tmp_path / "t" / f"{i}.png").stat().st_size for i in (1, 2)] == [0, 0]
 

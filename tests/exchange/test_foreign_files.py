@@ -116,7 +116,7 @@ def test_a_measurement_that_cannot_be_is_refused_in_one_line(
     assert not recipe.exists() and not recipe.with_suffix(".nacre").exists()
 
 
-def test_a_measurement_a_little_above_one_is_kept_and_told(tmp_path: Path) -> None:
+def test_a_measurement_a_little_above_one_is_kept_and_reported(tmp_path: Path) -> None:
     source = gonio_csv(tmp_path / "bright.csv", 1.1 / np.pi)
     assert any("1.1 times the light" in remark for remark in import_material(source, tmp_path / "bright.toml"))
 
@@ -162,7 +162,7 @@ def test_a_spectrum_is_read_as_its_instrument_wrote_it(tmp_path: Path, form: str
     np.testing.assert_allclose(found.values[0, 0], [r for _, r in SPECTRUM])
 
 
-def test_rows_without_a_measurement_are_left_out_and_holes_are_told(tmp_path: Path) -> None:
+def test_rows_without_a_measurement_are_left_out_and_holes_are_reported(tmp_path: Path) -> None:
     path = tmp_path / "wafer.csv"
     path.write_text("wavelength_nm,specular_reflectance\n400,0.2\n410,\n420,nan\n430,0.3\n")
     assert list(read_measurement(path).wavelengths_nm) == [400.0, 430.0]

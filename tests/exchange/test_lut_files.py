@@ -38,7 +38,7 @@ FILMS: dict[str, dict[str, Any]] = {
         "base": {"albedo": 0.5},
     },
 }  # fmt: skip
-SHOWN = 0.01  # of white: half of what 8 bits of sRGB tell apart in the middle greys
+SHOWN = 0.01  # of white: half of a step of 8-bit sRGB in the middle greys
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +50,8 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def manifest(folder: Path) -> dict[str, Any]:
-    told: dict[str, Any] = json.loads((folder / "table.json").read_text())
-    return told
+    reported: dict[str, Any] = json.loads((folder / "table.json").read_text())
+    return reported
 
 
 def exr(path: Path) -> NDArray[np.float64]:
@@ -61,15 +61,15 @@ def exr(path: Path) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("name", FILMS)
 def test_the_folder_holds_what_its_manifest_and_its_page_say(name: str, folders: dict[str, Path]) -> None:
-    folder, told = folders[name], manifest(folders[name])
-    assert {entry.name for entry in folder.iterdir()} == {*told["files"], "table.json"}
-    assert {"shader.glsl", "shader.osl", "blender.py", "material.mtlx", "index.html"} <= set(told["files"])
+    folder, reported = folders[name], manifest(folders[name])
+    assert {entry.name for entry in folder.iterdir()} == {*reported["files"], "table.json"}
+    assert {"shader.glsl", "shader.osl", "blender.py", "material.mtlx", "index.html"} <= set(reported["files"])
     page = (folder / "index.html").read_text()
-    for title, picture in told["pictures"].items():
+    for title, picture in reported["pictures"].items():
         assert exr(folder / f"{title}.exr").shape[:2] == (picture["bands"] * picture["rows"], picture["columns"])
         assert f'src="{title}.png"' in page
-    assert told["illuminant"] == "D65" and "D65" in page
-    for what, found in told["errors_dE00"].items():
+    assert reported["illuminant"] == "D65" and "D65" in page
+    for what, found in reported["errors_dE00"].items():
         assert f"{found['mean']:.2f}" in page and what in page
     assert "http" not in page.replace("http-equiv", "")  # it asks nobody for anything
 
@@ -156,10 +156,10 @@ def test_a_table_for_another_lamp_says_so_and_differs(tmp_path: Path, folders: d
 
 def test_the_command_and_python_write_the_same_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "film.toml").write_text(dump_toml(FILMS["clear"]))
-    told = nacre.export(tmp_path / "film.toml", "lut", tmp_path / "p")
+    reported = nacre.export(tmp_path / "film.toml", "lut", tmp_path / "p")
     assert run(["export", str(tmp_path / "film.toml"), "--to", "lut", "--json", "-o", str(tmp_path / "c")]) == 0
     said = json.loads(capsys.readouterr().out)
-    assert {**said, "file": ""} == {**told, "file": ""}
+    assert {**said, "file": ""} == {**reported, "file": ""}
     for entry in (tmp_path / "p").iterdir():
         assert entry.read_bytes() == (tmp_path / "c" / entry.name).read_bytes(), entry.name
 

@@ -114,10 +114,10 @@ def page() -> Iterator[Page]:
 
 def run_shader(page: Page, folder: Path, wi: Values, wo: Values, p: Values) -> tuple[Values, Values, Values]:
     """Run `shader.glsl` with the folder's EXR pictures; return f, what mirrors reflect, and pass, `[pair, 3]` each."""
-    told = json.loads((folder / "table.json").read_text())
+    reported = json.loads((folder / "table.json").read_text())
     pictures = []
     for name in ("facet", "loss", "exchange", "lobe"):
-        if name in told["pictures"]:
+        if name in reported["pictures"]:
             channels = OpenEXR.File(str(folder / f"{name}.exr"), separate_channels=True).channels()
             rows = np.stack([channels[key].pixels for key in "RGB"] + [np.ones_like(channels["R"].pixels)], axis=-1)
             pictures.append([f"nacre{name.capitalize()}", rows.shape[1], rows.shape[0], encoded(rows[::-1])])

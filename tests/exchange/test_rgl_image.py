@@ -111,7 +111,7 @@ def test_stock_measured_draws_what_our_plugin_draws(tmp_path: Path, recipe: dict
     whole = nacre.material(recipe).bsdf()
     held = Bsdf(tuple(lobe for lobe in whole.lobes if not lobe.is_delta))
     lost = write_rgl(tmp_path / "m.bsdf", whole)
-    assert bool(lost) == (recipe is METASURFACE)  # its mirror and its transmission are told of
+    assert bool(lost) == (recipe is METASURFACE)  # its mirror and its transmission are reported
     theirs = mi.load_dict({"type": "measured", "filename": str(tmp_path / "m.bsdf")})
     ours, noise = blocks(make_bsdf(held), lamp, MANY if recipe is METASURFACE and not lamp else FEW)
     stock, other_noise = blocks(theirs, lamp, FEW)

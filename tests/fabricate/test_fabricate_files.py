@@ -276,8 +276,8 @@ def test_published_calibration_is_the_published_range() -> None:
     assert PUBLISHED_CALIBRATION.depth_of(np.array([201, 989], dtype=np.uint16)).tolist() == [0.376, 1.185]
 
 
-def test_each_of_several_maps_is_told_with_its_own_grey_values(tmp_path: Path, capfd: Any) -> None:
-    """The last one's range was told as that of all."""
+def test_each_of_several_maps_is_reported_with_its_own_grey_values(tmp_path: Path, capfd: Any) -> None:
+    """The last one's range was stated as that of all."""
     Image.fromarray(np.arange(0, 256, 16, dtype=np.uint8).reshape(4, 4)).save(tmp_path / "ramp.png")
     layers = ", ".join(
         f'{{material = "{name}", thickness_nm = {{texture = "ramp.png", min = 10, max = {high}}}}}'

@@ -13,7 +13,7 @@ COUNT = 20000
 LAM = np.array([500.0, 550.0, 600.0])
 METAL_ERROR = 3e-4  # the bars
 GLASS_ERROR, GLASS_WORST = 1e-3, 0.02
-DARK = 1e-5  # relative errors are judged above this share of the maximum: single precision ends there
+DARK = 1e-5  # relative errors are evaluated above this share of the maximum: single precision ends there
 
 
 def directions(seed: int, both_sides: bool) -> np.ndarray:

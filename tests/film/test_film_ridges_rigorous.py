@@ -1,4 +1,4 @@
-"""The supercells that judge the Morpho preset: their solver against another, and where lamellae stand."""
+"""The supercells that check the Morpho preset: their solver against another, and where lamellae stand."""
 
 from __future__ import annotations
 

@@ -161,8 +161,8 @@ def test_the_command_shows_and_clears(folder: Path, capsys: pytest.CaptureFixtur
     shown = json.loads(capsys.readouterr().out)
     assert shown["folder"] == str(folder) and shown["entries"] == 1 and shown["bytes"] > 0
     assert run(["cache", "--clear"]) == 0
-    told = capsys.readouterr().out
-    assert ": 0 materials, " in told and "removed: 1 material\n" in told and list(folder.iterdir()) == []
+    reported = capsys.readouterr().out
+    assert ": 0 materials, " in reported and "removed: 1 material\n" in reported and list(folder.iterdir()) == []
 
 
 def test_the_command_counts_parts_of_materials_apart(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

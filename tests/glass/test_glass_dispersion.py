@@ -67,9 +67,9 @@ def test_the_walk_through_titania_keeps_to_transfer_where_it_disperses_most() ->
     wo = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=-1)
     wi = np.broadcast_to([0.0, np.sin(0.3), np.cos(0.3)], wo.shape)
     lam = np.array([400.0, 420.0])
-    walked, error = evaluate_with_error(material.bsdf(lam), wi, wo, samples=60_000, seed=4)
+    traced, error = evaluate_with_error(material.bsdf(lam), wi, wo, samples=60_000, seed=4)
     known = material.model.surrogate_radiance(wi, wo, lam)
     assert error is not None and known is not None
     # the index at 550 nm alone would bring 10 % too much
-    assert np.mean(walked / known[0] - 1) < 0.03
-    np.testing.assert_allclose(walked, known[0], rtol=0.05)
+    assert np.mean(traced / known[0] - 1) < 0.03
+    np.testing.assert_allclose(traced, known[0], rtol=0.05)

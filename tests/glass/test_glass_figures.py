@@ -28,10 +28,10 @@ def test_the_map_of_a_rough_face_is_what_its_walk_sends_back(compensate: bool) -
     row = int(np.argmin(np.abs(mapped["y"] - 20.0)))
     nm, angles = mapped["wavelengths_nm"][::8], mapped["angles_deg"][:6:2]
     again = material.vary({"thickness_um": float(mapped["y"][row])})
-    walked = again.spectrum(np.radians(angles), nm).diffuse_reflectance
-    assert walked is not None
+    traced = again.spectrum(np.radians(angles), nm).diffuse_reflectance
+    assert traced is not None
     # 4 %: what the fast form states of a face of 0.15 over black
-    difference = np.linalg.norm(mapped["reflectance"][row, :6:2, ::8] - walked) / np.linalg.norm(walked)
+    difference = np.linalg.norm(mapped["reflectance"][row, :6:2, ::8] - traced) / np.linalg.norm(traced)
     assert difference < 0.04
 
 

@@ -77,19 +77,19 @@ def test_the_fast_form_is_fitted_without_tables_and_walks(monkeypatch: pytest.Mo
             assert number.value == pytest.approx(TRUTH[number.path], rel=1e-4)
 
 
-def test_the_studios_draft_is_not_walked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_studios_draft_is_not_traced(monkeypatch: pytest.MonkeyPatch) -> None:
     material = nacre.material(ROUGH)
-    walked = material.spectrum([0.0], np.array([440.0, 560.0]), seed=SEED).diffuse_reflectance
-    assert walked is not None
+    traced = material.spectrum([0.0], np.array([440.0, 560.0]), seed=SEED).diffuse_reflectance
+    assert traced is not None
 
     def never(*args: Any, **options: Any) -> Any:
-        raise AssertionError("a draft is walked")
+        raise AssertionError("a draft is traced")
 
     monkeypatch.setattr(glass_material, "walk", never)
     draft = next(appearances(material, "D65", lambda: False))
     assert draft.is_draft
     shown = np.interp([440.0, 560.0], draft.wavelengths_nm, draft.total[0])
-    np.testing.assert_allclose(shown, walked[0], atol=0.03)  # of a draft: at this roughness its form errs by .02
+    np.testing.assert_allclose(shown, traced[0], atol=0.03)  # of a draft: at this roughness its form errs by .02
 
 
 @pytest.mark.full

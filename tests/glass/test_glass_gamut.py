@@ -43,8 +43,8 @@ def test_a_film_is_still_asked_for_its_mirror() -> None:
     assert nacre.gamut(nacre.material(film), ["layers[0].thickness_nm=0:400"], points=8).geometry == "specular 0"
 
 
-def test_candidates_of_balls_are_walked_through_by_fewer_and_look_alike() -> None:
-    """Fewer walkers cost 0.4 dE00: less than a search wants to be within, and the judge takes all of them."""
+def test_candidates_of_balls_take_fewer_paths_and_the_same_colour() -> None:
+    """Fewer walkers cost 0.4 dE00: less than the tolerance of a search, and the final evaluation takes all of them."""
     model = nacre.material(PAINT).model
     tried = model.search_model({})
     assert isinstance(tried.composite, Balls) and isinstance(model.composite, Balls)

@@ -79,10 +79,10 @@ def test_the_walk_is_reciprocal_and_counts_its_mirror_apart() -> None:
 @pytest.mark.render
 def test_a_transmitting_walk_sums_to_what_transfer_says() -> None:
     material = nacre.material({**GLASS, "absorber": {"k": 0.0}, "base": {"none": True}})
-    walked = bsdf_spectrum(material.bsdf(LAM), np.array([0.5]), seed=5)
+    traced = bsdf_spectrum(material.bsdf(LAM), np.array([0.5]), seed=5)
     known = material.spectrum([0.5], LAM)
     for name in ("diffuse_reflectance", "diffuse_transmittance"):
-        np.testing.assert_allclose(getattr(walked, name), getattr(known, name), atol=0.03)
+        np.testing.assert_allclose(getattr(traced, name), getattr(known, name), atol=0.03)
     np.testing.assert_allclose(np.sum(list(known.parts().values()), axis=0), 1.0, atol=1e-3)
 
 
@@ -109,7 +109,7 @@ def test_a_lossless_fast_glass_over_white_stays_white(roughness: float) -> None:
         np.testing.assert_allclose(back, 1.0, atol=3e-3)
 
 
-def test_what_has_no_fast_form_says_so_and_is_walked(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_model_without_a_closed_form_says_so_and_is_traced(caplog: pytest.LogCaptureFixture) -> None:
     bsdf = nacre.material({**GLASS, "quality": "fast", "base": {"none": True}}).bsdf(LAM)
     assert bsdf.lobes[0].kind == "layered"
     assert "light passes through it" in caplog.text and "light passes" in bsdf.provenance["notes"][0]
@@ -133,20 +133,20 @@ def test_the_fast_form_of_a_rough_face_keeps_what_the_walk_keeps(compensate: boo
     """Over a lossless base all that is missing is what the facets lose."""
     surface = {"roughness": 0.3, "compensate": compensate}
     white = {**GLASS, "absorber": {"k": 0.0}, "base": {"albedo": 1.0}, "surface": surface}
-    walked = nacre.material(white).spectrum([0.0, 0.6, 1.1], LAM).diffuse_reflectance
+    traced = nacre.material(white).spectrum([0.0, 0.6, 1.1], LAM).diffuse_reflectance
     fast = nacre.material({**white, "quality": "fast"}).bsdf(LAM[:1])
     found = np.stack([directional_hemispherical(fast, direction(np.array([t])))[0][0] for t in (0.0, 0.6, 1.1)])
-    assert walked is not None
+    assert traced is not None
     # nothing absorbs, so all wavelengths are alike and their mean has half of the walk's noise
-    np.testing.assert_allclose(found.mean(axis=1), walked.mean(axis=1), atol=0.01)
+    np.testing.assert_allclose(found.mean(axis=1), traced.mean(axis=1), atol=0.01)
 
 
 def test_a_search_looks_at_the_noise_free_form() -> None:
-    walked = nacre.material({**GLASS, "base": {"albedo": 0.2}}).model
-    tried = walked.search_model({})
+    traced = nacre.material({**GLASS, "base": {"albedo": 0.2}}).model
+    tried = traced.search_model({})
     wi, wo = pairs(5, 8)
-    surrogate, values = walked.surrogate_radiance(wi, wo, LAM), tried.values_at(wi, wo, LAM)
-    assert surrogate is not None and values is not None and not is_direct(walked)
+    surrogate, values = traced.surrogate_radiance(wi, wo, LAM), tried.values_at(wi, wo, LAM)
+    assert surrogate is not None and values is not None and not is_direct(traced)
     np.testing.assert_allclose(surrogate[0] + surrogate[1], values, rtol=1e-12)
     opened = nacre.material({**GLASS, "base": {"none": True}}).model
     assert opened.search_model({}) is opened

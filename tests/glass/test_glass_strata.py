@@ -25,7 +25,7 @@ WI, WO = (
 )
 
 
-def walked(strata: list[dict[str, Any]], seed: int = 1) -> tuple[Any, Any]:
+def traced(strata: list[dict[str, Any]], seed: int = 1) -> tuple[Any, Any]:
     material = nacre.material({"family": "glass", "strata": strata, "base": {"albedo": 0.3}})
     values, error = evaluate_with_error(material.bsdf(LAM), WI, WO, samples=20_000, seed=seed)
     assert error is not None
@@ -35,18 +35,18 @@ def walked(strata: list[dict[str, Any]], seed: int = 1) -> tuple[Any, Any]:
 @pytest.mark.render
 def test_a_layer_is_the_same_in_two_halves() -> None:
     one = nacre.material({**ONE, "base": {"albedo": 0.3}}).model.surrogate_radiance(WI, WO, LAM)
-    values, error = walked([HALF, HALF])
+    values, error = traced([HALF, HALF])
     assert one is not None and np.max(np.abs(values - one[0]) / error) < 3.6
 
 
 @pytest.mark.render
 def test_what_lies_above_is_seen_first() -> None:
     """A thick upper stratum hides the lower one; the two orders differ."""
-    above, error = walked([{**OTHER, "thickness_um": 40}, HALF])
+    above, error = traced([{**OTHER, "thickness_um": 40}, HALF])
     model = nacre.material({**ONE, **OTHER, "thickness_um": 46, "base": {"albedo": 0.3}}).model
     alone = model.surrogate_radiance(WI, WO, LAM)
     assert alone is not None and np.max(np.abs(above - alone[0]) / np.maximum(error, 0.02 * alone[0])) < 4.0
-    below, _ = walked([HALF, {**OTHER, "thickness_um": 40}])
+    below, _ = traced([HALF, {**OTHER, "thickness_um": 40}])
     assert np.max(np.abs(above / below - 1)) > 0.1
 
 

@@ -82,7 +82,7 @@ def test_another_seed_is_other_noise_and_the_same_one_the_same() -> None:
     assert found[0] == found[1] != found[2]
 
 
-def test_many_angles_of_a_rough_face_run_through_a_few_that_are_walked() -> None:
+def test_many_angles_of_a_rough_face_are_interpolated_from_a_few_that_are_traced() -> None:
     material = nacre.material({**ROUGH, "absorber": {"k": 0.002}})
     many = material.spectrum(np.radians(np.linspace(0, 80, 41)), LAM).diffuse_reflectance
     few = material.spectrum(np.radians([0.0, 34.0, 60.0, 80.0]), LAM, seed=3).diffuse_reflectance
@@ -111,7 +111,7 @@ def test_a_rough_open_lossless_glass_sends_out_all_that_arrives() -> None:
 @pytest.mark.render
 @pytest.mark.parametrize("compensate", [True, False])
 @pytest.mark.parametrize("base", [{"albedo": 0.3}, {"none": True, "roughness": 0.2}], ids=["diffuse", "open"])
-def test_rough_faces_are_walked_as_on_the_device(base: dict[str, Any], compensate: bool) -> None:
+def test_rough_faces_are_traced_as_on_the_device(base: dict[str, Any], compensate: bool) -> None:
     base = {**base, "compensate": compensate} if "none" in base else base
     material = nacre.material({**ROUGH, "base": base, "surface": {"roughness": 0.3, "compensate": compensate}})
     known = material.spectrum([0.4], LAM)

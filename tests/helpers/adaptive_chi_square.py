@@ -106,7 +106,7 @@ def _cells(points: Array, count: int) -> Array:
         # along the axis in which the points spread more of the box
         middle = np.median(inside, axis=0)
         spread = [np.ptp(np.quantile(inside[:, a], [0.1, 0.9])) / (box[2 * a + 1] - box[2 * a]) for a in (0, 1)]
-        axis = int(np.argmin(spread))  # the narrower way tells cells apart most: cut the lobe out first
+        axis = int(np.argmin(spread))  # the narrower side separates cells most: cut the lobe out first
         if not box[2 * axis] < middle[axis] < box[2 * axis + 1]:
             axis = 1 - axis
         cut = float(middle[axis])

@@ -76,12 +76,12 @@ def opened(browser: Browser, server: Server, **options: Any) -> Iterator[Page]:
     page.wait_for_selector("#view[data-seq]", state="attached")
     page.get_by_role("button", name="Close").click()
     settled(page)
-    expect(page.locator("#view")).to_have_attribute("data-judged", "true")  # how many pixels this machine can draw
+    expect(page.locator("#view")).to_have_attribute("data-measured", "true")  # how many pixels this machine can draw
     yield page
     context.close()
     # while the server is away, was killed in an answer, or refuses what was asked, the browser says so on the console
-    told = ("ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", "status of 422")
-    left = [trouble for trouble in troubles if not any(words in trouble for words in told)]
+    expected = ("ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", "status of 422")
+    left = [trouble for trouble in troubles if not any(words in trouble for words in expected)]
     assert left == [], left
 
 

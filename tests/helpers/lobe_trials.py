@@ -190,7 +190,7 @@ def chi_square(
     test = ChiSquareTest(
         SphericalDomain(), sample, density, sample_dim=3, sample_count=samples, res=resolution, ires=steps, seed=seed
     )
-    test.run(significance_level=1e-12, quiet=True)  # the caller judges the p-value
+    test.run(significance_level=1e-12, quiet=True)  # the caller evaluates the p-value
     return ChiSquare(float(test.p_value), bool(test.fail), test.messages)
 
 

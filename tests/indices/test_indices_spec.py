@@ -182,11 +182,11 @@ def test_a_page_from_the_package_is_the_entry_itself(tmp_path):
     "tabulated nk\n    data: {a: 1}\n",
     "[",
 ])  # fmt: skip
-def test_a_broken_page_is_told_in_a_line(data, tmp_path):
+def test_a_broken_page_is_reported_in_a_line(data, tmp_path):
     (tmp_path / "mine.yml").write_text(f"DATA:\n  - type: {data}")
-    with pytest.raises(RecipeError, match="mine.yml") as told:
+    with pytest.raises(RecipeError, match="mine.yml") as raised:
         check({"file": "mine.yml"}, tmp_path)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize("text, words", [
@@ -203,7 +203,7 @@ def test_a_broken_page_is_told_in_a_line(data, tmp_path):
     ("wl,n\n0.4,1.5\nwl,k\n0.5,0.1\n", "different wavelengths"),
     ("\x00\x01", "nk.csv"),
 ])  # fmt: skip
-def test_a_broken_table_is_told_with_its_line(text, words, tmp_path):
+def test_a_broken_table_is_reported_with_its_line(text, words, tmp_path):
     (tmp_path / "nk.csv").write_text(text)
     with pytest.raises(RecipeError) as error:
         check({"file": "nk.csv"}, tmp_path)

@@ -220,9 +220,9 @@ def test_an_ensemble_of_discs_refines_the_mean_field(tmp_path):
     )
     model = nacre.load(tmp_path / "rod.toml").model
     direction = np.array([[0.5, 0.0, np.sqrt(0.75)]])
-    judged = model.values_at(direction, direction[:, [1, 0, 2]], np.array([600.0]))
+    corrected = model.values_at(direction, direction[:, [1, 0, 2]], np.array([600.0]))
     plain = dataclasses.replace(model, correction="qca-balanced").values_at(
         direction, direction[:, [1, 0, 2]], np.array([600.0])
     )
     # the mean field of dilute discs was not measured; of spheres it holds to 12 %, and small patches are noisy
-    assert judged == pytest.approx(plain, rel=0.3) and judged != pytest.approx(plain, rel=1e-6)
+    assert corrected == pytest.approx(plain, rel=0.3) and corrected != pytest.approx(plain, rel=1e-6)

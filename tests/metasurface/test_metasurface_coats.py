@@ -241,7 +241,7 @@ def test_an_exported_body_is_read_with_its_own_sphere_around_it(tmp_path, capsys
     other = nacre.load(tmp_path / "file.toml").model
     assert other.body.circumscribing_nm == pytest.approx(model.body.circumscribing_nm)
     assert other.structure.diameter_nm == pytest.approx(model.structure.diameter_nm)
-    assert other.body.shape == named  # what is coated is none of the shapes by which "auto" judges
+    assert other.body.shape == named  # what is coated is none of the shapes by which "auto" decides
     for a, b in zip(model.powers([0.8], 550.0), other.powers([0.8], 550.0), strict=True):
         assert np.abs(a - b).max() <= 1e-10
 

@@ -235,9 +235,9 @@ def test_far_apart_spheres_need_no_ratio():
     layer = Monolayer(below, (particle,), hard_disk_structure(density, coverage, 5 * below.wavenumber))
     layer, ratio, errors, one = _ratio(layer, density, coverage, 20, 10)
     angles = np.radians([20.0, 50.0])
-    judged = light(layer, angles, angles, ratio)
+    corrected = light(layer, angles, angles, ratio)
     plain = light(layer, angles, angles, None)
-    assert np.all(np.abs(judged / plain - 1) <= 4 * _stored_error(one, errors, angles, angles) + 0.02)
+    assert np.all(np.abs(corrected / plain - 1) <= 4 * _stored_error(one, errors, angles, angles) + 0.02)
     assert errors.max() < 0.2
 
 
@@ -259,7 +259,7 @@ SILVER = {"radius_nm": 75, "material": {"n": 0.05, "k": 3.1}}
 @pytest.mark.parametrize(
     ("particle", "substrate", "coverage", "taken", "why"),
     [
-        # discs are judged by discs: of spheres the mean field would be taken up to 0.2
+        # discs are evaluated by discs: of spheres the mean field would be taken up to 0.2
         (DISC, {"n": 1.5}, 0.1, "ensemble", "metal discs on a substrate"),
         (DISC, {"n": 1.5}, 0.02, "qca-balanced", "metal discs on a substrate"),
         # 14 % off, though it would do of either kind alone
@@ -270,19 +270,19 @@ SILVER = {"radius_nm": 75, "material": {"n": 0.05, "k": 3.1}}
         ({**DISC, "second": {**SILVER, "share": 0.2}}, {"n": 1.5}, 0.01, "ensemble", "no such layer was measured"),
     ],
 )
-def test_discs_and_mixtures_are_judged_by_their_own_kind(particle, substrate, coverage, taken, why):
+def test_discs_and_mixtures_are_evaluated_by_ensembles_of_their_kind(particle, substrate, coverage, taken, why):
     given = {"substrate": substrate, "particle": particle, "monolayer": {"coverage": coverage}}
     correction, because = material(recipe({"correction": "auto"}, **given)).model.chosen_correction
     assert correction == taken and why in because
 
 
-def test_a_shape_that_only_a_t_matrix_tells_is_not_taken_for_a_sphere():
+def test_a_shape_known_only_by_its_t_matrix_is_not_taken_for_a_sphere():
     assert not model_selection.mean_field_holds(
         [model_selection.SystemClass(model_selection.SHAPES[""], model_selection.METAL)], True, 0.01
     )[0]
 
 
-def test_an_ensemble_is_told_stored_and_solved_once(tmp_path, monkeypatch, caplog):
+def test_an_ensemble_is_reported_stored_and_solved_once(tmp_path, monkeypatch, caplog):
     monkeypatch.setenv("NACRE_CACHE", str(tmp_path))
     heard, grid = [], np.array([480.0, 520.0])
     with on_progress(lambda what, seconds: heard.append(what)), caplog.at_level(logging.WARNING, "nacre"):
@@ -359,7 +359,7 @@ def test_a_stopped_run_goes_on_with_nothing_of_a_file_that_changed(tmp_path, mon
     assert np.all(np.isfinite(found.lobes[1].above))  # of a lattice, whose light is next to nothing between its orders
 
 
-def test_a_judged_material_is_solved_once_without_a_cache_and_keeps_energy_and_reciprocity(monkeypatch):
+def test_a_corrected_material_is_solved_once_without_a_cache_and_keeps_energy_and_reciprocity(monkeypatch):
     monkeypatch.setenv("NACRE_CACHE", "off")
     asked = []
     solve = interpolation._solve
@@ -415,7 +415,7 @@ def test_positions_that_nobody_knows_are_refused_and_not_needed_by_auto(tmp_path
 @pytest.mark.parametrize(
     ("key", "value"), [("spheres", 5), ("spheres", 5000), ("realisations", 1), ("multipole_order", 9)]
 )
-def test_a_size_that_is_not_allowed_is_told_with_its_key(key, value):
+def test_a_size_that_is_not_allowed_is_reported_with_its_key(key, value):
     with pytest.raises(NacreError, match=rf"model\.ensemble\.{key}"):
         material(recipe({"ensemble": {key: value}}))
 

@@ -105,7 +105,7 @@ def test_a_rough_candidate_leaves_the_near_fields_of_neighbours_out():
     assert 1e-4 < abs(rough / own - 1.0).max() < 1.0
 
 
-def test_coverage_beyond_what_was_tested_is_told_for_a_few_pairs_too():
+def test_coverage_beyond_what_was_tested_is_reported_for_a_few_pairs_too():
     made = _made().vary({"monolayer.coverage": 0.3})
     wi = direction(np.radians([30.0]))
     with warnings.catch_warnings(record=True) as caught:

@@ -296,9 +296,9 @@ def test_a_mixture_lies_in_a_layer_level_by_its_own_depths():
 def test_what_no_layer_holds_is_refused_in_one_line(change, said):
     given = recipe(**change)
     given["particle"] = {key: value for key, value in given["particle"].items() if value is not None}
-    with pytest.raises(NacreError) as told:
+    with pytest.raises(NacreError) as raised:
         nacre.material(given)
-    assert said in str(told.value) and "\n" not in str(told.value)
+    assert said in str(raised.value) and "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize(
@@ -311,6 +311,6 @@ def test_what_no_layer_holds_is_refused_in_one_line(change, said):
     ],
 )
 def test_a_model_or_a_layer_that_cannot_hold_them_is_refused_in_one_line(key, value, said):
-    with pytest.raises(NacreError) as told:
+    with pytest.raises(NacreError) as raised:
         nacre.material({**recipe(), key: value})
-    assert said in str(told.value) and "\n" not in str(told.value)
+    assert said in str(raised.value) and "\n" not in str(raised.value)

@@ -83,7 +83,7 @@ def test_emission_through_the_neighbours_is_their_light_backwards():
 
 
 def test_passed_on_light_is_reciprocal_between_its_nodes_already():
-    """Before the mean of both ways is taken single precision alone tells them apart."""
+    """Before the mean of both ways is taken single precision alone distinguishes them."""
     layer = ladder(550.0, 80.0, SILVER, 1.5, 0.1, 0.3, lmax=2)
     modes = layer.modes
     mu = np.cos(np.array([0.2, 0.7, 1.2]))
@@ -169,6 +169,6 @@ def test_a_recipe_takes_the_ladder_and_keeps_energy_and_reciprocity():
     ],
 )
 def test_what_the_ladder_does_not_model_is_refused_in_one_line(change, said):
-    with pytest.raises(UnsupportedError, match=said) as told:
+    with pytest.raises(UnsupportedError, match=said) as raised:
         nacre.material({**RECIPE, **change}).bsdf([600.0])
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(raised.value)

@@ -273,9 +273,9 @@ def test_the_gap_that_a_refusal_names_works_and_is_the_least_of_those_tried(subs
         model = material({**recipe(substrate), "particle": particle, "model": {"tolerance": tolerance}}).model
         return model.order(model.surface(360.0))
 
-    with pytest.raises(MultipoleConvergenceError, match="or a gap_nm of ") as told:
+    with pytest.raises(MultipoleConvergenceError, match="or a gap_nm of ") as raised:
         order(0.0)
-    named = float(re.search(r"or a gap_nm of ([\d.]+)", str(told.value))[1])
+    named = float(re.search(r"or a gap_nm of ([\d.]+)", str(raised.value))[1])
     assert order(named) <= 40
     smaller = [gap for gap in GAPS_NM if gap < named]
     for gap in smaller[-1:]:

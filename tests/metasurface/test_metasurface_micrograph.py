@@ -143,9 +143,9 @@ def test_a_picture_that_shows_nothing_gets_one_line(tmp_path, what):
     np.savetxt(tmp_path / "nm.csv", hard_disks(100, 3e-6, 0.2, 2).xy_nm, delimiter=",")
     (tmp_path / "text.png").write_text("no picture")
     structure, said = REFUSED[what]
-    with pytest.raises(NacreError) as told:
+    with pytest.raises(NacreError) as raised:
         material(_recipe(**structure), tmp_path)
-    assert said in str(told.value) and "\n" not in str(told.value)
+    assert said in str(raised.value) and "\n" not in str(raised.value)
 
 
 def test_the_command_draws_what_it_found(tmp_path, capsys):

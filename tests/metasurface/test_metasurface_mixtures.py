@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers_metasurface import surface, t_matrix
 from validation._metasurface_helpers import plane_waves
-from validation.metasurface_ensembles import distance, judged, light, of_discs
+from validation.metasurface_ensembles import distance, light, of_discs, pattern_correction
 from validation.metasurface_mixtures import SILICON as DARK_SILICON
 from validation.metasurface_mixtures import SILVER as MIE_SILVER
 from validation.metasurface_mixtures import mixture
@@ -168,11 +168,11 @@ def _real_mixture(coverage, substrate):
 def test_a_thin_mixture_is_what_its_ensemble_says():
     """Far apart both know single scattering: the mean square of the kinds, which their mean amplitude is not."""
     layer = _real_mixture(0.01, 1.5 + 0.01j)
-    ratio, errors, _ = judged(layer, 20, 10)
+    ratio, errors, _ = pattern_correction(layer, 20, 10)
     angles = np.radians([20.0, 50.0])
-    judged_light, plain = (light(layer, angles, angles, r) for r in (ratio, None))
+    corrected_light, plain = (light(layer, angles, angles, r) for r in (ratio, None))
     error = float(np.median(errors))
-    assert np.all(np.abs(judged_light / plain - 1) <= 4 * error + 0.02) and error < 0.1
+    assert np.all(np.abs(corrected_light / plain - 1) <= 4 * error + 0.02) and error < 0.1
     # one kind alone at the same density is far from it
     alone = dataclasses.replace(layer, particles=(dataclasses.replace(layer.particles[0], share=1.0),))
     assert np.all(np.abs(light(alone, angles, angles, None) / plain - 1) > 0.2)
@@ -183,11 +183,11 @@ def test_the_ensemble_of_a_mixture_is_what_discs_of_it_send_without_any_model():
     """As one kind against another code: 8 % with a quarter of the patterns, light to 60 degrees."""
     layer = mixture(520.0, (75.0, MIE_SILVER), (60.0, DARK_SILICON), 0.4, 0.08)
     theta_s, theta_i = np.radians(np.linspace(3.5, 80.5, 12)), np.radians([10.5, 24.5, 38.5, 52.5])
-    ratio, _, _ = judged(layer, 130, 12)
+    ratio, _, _ = pattern_correction(layer, 130, 12)
     assert distance(light(layer, theta_s, theta_i, ratio), of_discs(layer, theta_s, theta_i, 24), theta_s) <= 0.08
 
 
-def test_a_mixture_s_ensemble_is_told_to_take_longer_where_its_kinds_lie_at_unlike_heights():
+def test_a_mixture_s_ensemble_of_unlike_heights_states_a_longer_time():
     """Two kinds of 60 spheres took 2.2 times the work of one; level ones hardly more. What is opaque takes half."""
     level, apart = (mixture(500.0, (70.0, MIE_SILVER), (radius, DARK_SILICON), 0.4, 0.08) for radius in (70.0, 50.0))
     one = dataclasses.replace(level, particles=(dataclasses.replace(level.particles[0], share=1.0),))
@@ -229,7 +229,7 @@ def test_waves_seen_from_another_height_are_those_of_the_straight_way(height):
     assert np.abs(carried - wanted).max() <= 2e-4 * np.abs(wanted).max()
 
 
-def test_a_mixture_with_an_ensemble_in_a_recipe_is_told_and_kept(tmp_path, monkeypatch):
+def test_a_mixture_with_an_ensemble_in_a_recipe_is_reported_and_cached(tmp_path, monkeypatch):
     monkeypatch.setenv("NACRE_CACHE", str(tmp_path))
     made = recipe(
         two({"material": SILICON, "radius_nm": 75}, {"material": SILVER, "radius_nm": 50}, 0.3),
@@ -291,9 +291,9 @@ def test_what_a_mixture_cannot_be_gets_one_line():
         ({"material": SILVER, "share": 0.2}, "needs radius_nm of a sphere"),
         ({"material": SILVER, "radius_nm": 50, "share": 0.2, "second": ball}, "second"),
     ):
-        with pytest.raises(NacreError, match=said) as told:
+        with pytest.raises(NacreError, match=said) as raised:
             material(recipe({**ball, "second": second}))
-        assert "particle.second" in str(told.value) and "\n" not in str(told.value)
+        assert "particle.second" in str(raised.value) and "\n" not in str(raised.value)
     with pytest.raises(NacreError, match="for the larger species"):
         material(
             recipe(
@@ -312,9 +312,9 @@ def test_what_a_mixture_cannot_be_gets_one_line():
     ],
 )
 def test_spheres_are_not_turned_and_the_line_says_what_to_write(key, value, said):
-    with pytest.raises(NacreError, match=f"gives {key}.*{said}|gives orientation.*{said}") as told:
+    with pytest.raises(NacreError, match=f"gives {key}.*{said}|gives orientation.*{said}") as raised:
         material(recipe({"material": SILICON, "radius_nm": 70, key: value}))
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(raised.value)
 
 
 def test_a_mixture_varies_as_other_recipes_do():

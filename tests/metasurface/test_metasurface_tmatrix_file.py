@@ -206,13 +206,13 @@ def test_what_the_command_exports_gives_the_same_spectrum_at_default_orders(tmp_
     by_file.write_text(ROUND % ("glass", 'tmatrix = "s.tmat.h5"', 0.05))
     assert run(["export", str(mie), "--to", "tmat", "-o", str(tmp_path / "s.tmat.h5")]) == 0
     capsys.readouterr()
-    told = []
+    reported = []
     for path in (mie, by_file):
         assert run(["spectrum", str(path), "--angles-deg", "0,60", "--wavelengths-nm", "400,550,700", "--json"]) == 0
-        told.append(json.loads(capsys.readouterr().out))
-    for key in told[0]:
+        reported.append(json.loads(capsys.readouterr().out))
+    for key in reported[0]:
         if key.endswith(("reflectance", "transmittance")):
-            assert np.abs(np.subtract(told[0][key], told[1][key])).max() <= SAME, key
+            assert np.abs(np.subtract(reported[0][key], reported[1][key])).max() <= SAME, key
 
 
 def test_a_file_of_too_few_multipoles_of_a_sphere_says_so(tmp_path, caplog):
@@ -429,8 +429,8 @@ def test_what_is_no_such_file_gets_one_line(tmp_path, capsys):
     (tmp_path / "text.h5").write_text("not a file of this kind")
     (tmp_path / "half.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(40))
     (tmp_path / "folder.h5").mkdir()
-    told = {"text": "is no HDF5 file", "half": "is no HDF5 file", "folder": "is a folder", "none": "does not exist"}
-    for name, said in told.items():
+    reported = {"text": "is no HDF5 file", "half": "is no HDF5 file", "folder": "is a folder", "none": "does not exist"}
+    for name, said in reported.items():
         assert said in _refusal(tmp_path, capsys, f'tmatrix = "{name}.h5"')
 
 

@@ -151,7 +151,7 @@ def test_every_form_of_a_platelet_reflects_r_times_one_minus_t():
     assert np.abs(sure["published"] / sure["conserving"] - share).max() < 2e-3  # 65 nodes instead of 257
 
 
-def test_platelets_are_counted_physically_unless_told():
+def test_platelets_are_counted_physically_by_default():
     plain = recipe()
     del plain["strata"][0]["platelets"][0]["energy_balance"]
     model = nacre.material(plain).model

@@ -209,7 +209,7 @@ def test_a_lobe_of_glints_whose_tables_do_not_fit_is_refused(fast: PlateletLayer
         dataclasses.replace(fast, base=few[:1]).check()
 
 
-def test_a_flakes_own_lobe_is_told_as_a_slope_over_the_deviation_of_all_flakes(fast: PlateletLayer) -> None:
+def test_the_lobe_of_one_flake_is_stated_relative_to_the_deviation_of_all_flakes(fast: PlateletLayer) -> None:
     """Flatness of 2 degrees and diffraction at a disc of 40 um in a resin of 1.5, over a deviation of 0.12."""
     # half of the half width, 0.51 lambda / diameter, of a disc's diffraction, as a deviation of a Gaussian
     diffraction = 0.51 / 2 / np.sqrt(2 * np.log(2)) * 0.55 / (1.5 * 40.0)

@@ -151,13 +151,13 @@ def test_it_agrees_with_the_walk_on_the_device(baked, name):
         xy = -wi[:2] + q
         xy = xy[np.sum(xy**2, axis=1) < 0.95]
         wo = np.concatenate([xy, np.sqrt(1 - np.sum(xy**2, axis=1))[:, None]], axis=1)
-        walked, error = evaluate_layered(lobe, np.broadcast_to(wi, wo.shape), wo, 40_000, 1)
+        traced, error = evaluate_layered(lobe, np.broadcast_to(wi, wo.shape), wo, 40_000, 1)
         ours = table.evaluate(np.broadcast_to(wi, wo.shape), wo)
-        difference += np.sum((walked - ours) ** 2 * wo[:, 2:] ** 2, axis=0)
+        difference += np.sum((traced - ours) ** 2 * wo[:, 2:] ** 2, axis=0)
         noise += np.sum(error**2 * wo[:, 2:] ** 2, axis=0)
-        size += np.sum(walked**2 * wo[:, 2:] ** 2, axis=0)
+        size += np.sum(traced**2 * wo[:, 2:] ** 2, axis=0)
     error, noise = np.sqrt(difference / size), np.sqrt(noise / size)
-    assert noise.mean() < 0.02  # sharp enough to tell
+    assert noise.mean() < 0.02  # precise enough for the comparison
     assert error.mean() < table.error.mean() + 2 * noise.mean()
 
 

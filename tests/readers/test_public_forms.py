@@ -145,7 +145,7 @@ def test_rows_that_begin_with_a_tab(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("heading", ["w[nm]", "w (rad/s)"])
-def test_the_unit_tells_wavelength_and_angular_frequency_apart(tmp_path: Path, heading: str) -> None:
+def test_the_unit_distinguishes_wavelength_and_angular_frequency(tmp_path: Path, heading: str) -> None:
     rows = "500\t1.5\t0\n600\t1.4\t0\n700\t1.3\t0\n" if "nm" in heading else "2e15\t1.3\t0\n3e15\t1.5\t0\n"
     (found,) = open_file(written(tmp_path, "w.txt", f"# {heading}\tn\tk\n{rows}"))
     nm = found.data["wavelength_nm"]

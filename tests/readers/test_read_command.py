@@ -84,8 +84,8 @@ def test_what_is_no_measurement_is_refused_in_one_line(
             {"empty": b" \n", "image": b"\x89PNG\r\n\x1a\n1234", "prose": b"Lorem ipsum\ndolor sit\n"}[kind]
         )
     assert run(["read", str(path)]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and str(path) in told
+    reported = capsys.readouterr().err
+    assert reported.count("\n") == 1 and str(path) in reported
 
 
 def test_an_open_property_is_refused_with_its_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

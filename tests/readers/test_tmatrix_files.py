@@ -164,7 +164,7 @@ def spheroid_file(folder: Path, is_conjugate: bool) -> Path:
     return folder / "s.tmat.h5"
 
 
-def test_a_small_spheroid_tells_its_time_sign(tmp_path: Path) -> None:
+def test_a_small_spheroid_gives_its_time_sign(tmp_path: Path) -> None:
     assert read_tmatrices(spheroid_file(tmp_path, False)).shape == "spheroid"
     with pytest.raises(TMatrixFileError):
         read_tmatrices(spheroid_file(tmp_path, True))

@@ -97,6 +97,6 @@ def test_pictures_take_them_too_and_leave_tables_of_mitsuba_alone(tmp_path: Path
 def test_what_stands_for_none_is_refused_in_a_line(
     thing: Any, function: Callable[[Any, Path], Any], tmp_path: Path
 ) -> None:
-    with pytest.raises(nacre.NacreError) as told:
+    with pytest.raises(nacre.NacreError) as raised:
         function(thing, tmp_path)
-    assert "\n" not in str(told.value) and list(tmp_path.iterdir()) == []
+    assert "\n" not in str(raised.value) and list(tmp_path.iterdir()) == []

@@ -70,7 +70,7 @@ def test_an_unknown_key_is_compared_with_those_of_its_own_table_first() -> None:
         ('layers = [{material = "Ti", thickness_nm = 15,}]\n', "leave out the comma before the }"),
     ],
 )
-def test_usual_slips_in_toml_are_told(text: str, hint: str) -> None:
+def test_usual_slips_in_toml_are_reported(text: str, hint: str) -> None:
     with pytest.raises(RecipeError, match=r"line 1, column \d+\); " + re.escape(hint)):
         parse_toml(text, "my.toml")
 

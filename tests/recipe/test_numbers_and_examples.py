@@ -91,10 +91,10 @@ def test_bad_numbers_get_one_line(numbers: Any, words: str) -> None:
 
 
 @pytest.mark.parametrize(("formula", "words"), [("9 + sqrt(u - 0.25)", "25 %"), ("9 + sin(9*u)/u", "")])
-def test_a_formula_without_a_value_in_places_is_told(
+def test_a_formula_without_a_value_in_places_is_reported(
     formula: str, words: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Its lowest value stands there; a quotient 0/0 at a point or along a line tells nothing."""
+    """Its lowest value stands there; a quotient 0/0 at a point or along a line is undefined."""
     nacre.material(_film(formula)).bsdf()
     assert [record.getMessage().count(words) for record in caplog.records] == ([1] if words else [])
 

@@ -83,14 +83,14 @@ def test_a_length_as_text_is_not_taken_in_the_wrong_unit() -> None:
 )
 def test_a_measure_as_text_is_refused_with_the_line_that_means_it(key: str, text: str, written: str) -> None:
     recipe = {"family": "film", "substrate": "Si"}
-    with pytest.raises(RecipeError) as told:
+    with pytest.raises(RecipeError) as raised:
         nacre.material({**recipe, "layers": [{"material": "SiO2", key: text}]})
-    assert f'layers[0].{key} = "{text}" is not allowed; write {written}:' in str(told.value)
+    assert f'layers[0].{key} = "{text}" is not allowed; write {written}:' in str(raised.value)
     meant = {**recipe, "layers": [{"material": "SiO2", **tomllib.loads(written)}]}
     assert nacre.material(meant).model.layers[0].thickness_nm == pytest.approx(60.0)
 
 
-def test_shares_and_angles_as_text_are_told_in_the_unit_of_their_key() -> None:
+def test_shares_and_angles_as_text_are_reported_in_the_unit_of_their_key() -> None:
     film: dict[str, Any] = {"family": "film", "substrate": "Si"}
     with pytest.raises(RecipeError, match=r"write roughness = 0\.1:"):
         nacre.material({**film, "surface": {"roughness": "10 %"}})

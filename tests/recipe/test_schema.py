@@ -127,7 +127,7 @@ def test_a_texture_is_taken_where_the_number_varies_and_nowhere_else() -> None:
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_every_key_of_the_schema_tells_its_meaning(name: str) -> None:
+def test_every_key_of_the_schema_states_its_meaning(name: str) -> None:
     for table in tables_of(checker(name).schema):
         for key, value in table["properties"].items():
             assert value.get("description"), key

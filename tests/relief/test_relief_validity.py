@@ -48,7 +48,7 @@ def test_a_feature_is_half_a_period_of_hills_too() -> None:
     assert feature_nm == pytest.approx(320.0, rel=0.05)
 
 
-def test_smoothness_tells_walls_from_waves() -> None:
+def test_smoothness_separates_walls_from_waves() -> None:
     x = (np.arange(32) + 0.5) / 32
     wave = Tile(np.tile(100.0 * np.cos(2 * np.pi * x)[:, None], (1, 32)), 100.0, 100.0)
     assert assess(wave).smoothness == pytest.approx(1.0, abs=0.01)
@@ -77,7 +77,7 @@ def test_a_steep_relief_warns_once_and_a_flat_one_does_not(tmp_path: Path, caplo
     assert f"dE00 {steep.model.validity.de00:.0f}" in message
 
 
-def wants(**more: Any) -> dict[str, Any]:
+def design_data(**more: Any) -> dict[str, Any]:
     return {
         "recipe": {key: value for key, value in RECIPE.items() if key != "heights"},
         "parameters": {"heights": [0, 5.0], "features": 16},
@@ -88,15 +88,15 @@ def wants(**more: Any) -> dict[str, Any]:
 
 def test_a_valid_design_is_as_flat_as_its_features_require(tmp_path: Path) -> None:
     context = RecipeContext("t.toml", tmp_path)
-    free = read_relief(wants(), context)
-    valid = read_relief(wants(limits={"within_validity": True}), context)
+    free = read_relief(design_data(), context)
+    valid = read_relief(design_data(limits={"within_validity": True}), context)
     assert free.problem.height_max_nm == pytest.approx(5000.0)
     assert valid.problem.height_max_nm == pytest.approx(largest_depth_nm(1000.0))
     random = np.random.default_rng(2)
     tile = Tile(random.uniform(0.0, valid.problem.height_max_nm, (16, 16)), 1000.0, 200.0)
     assert not assess(tile).is_outside
     with pytest.raises(NacreError, match="limits"):
-        read_relief(wants(limits={"max_total_nm": 100}), context)
+        read_relief(design_data(limits={"max_total_nm": 100}), context)
 
 
 def test_only_reliefs_have_a_range_of_validity(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -221,7 +221,7 @@ def test_without_llvm_a_tiny_picture_still_comes_with_a_warning(tmp_path: Path) 
     assert done.stdout.split() == ["scalar_spectral", "True"]
 
 
-def test_the_report_tells_what_to_do_without_llvm(tmp_path: Path) -> None:
+def test_the_report_states_the_remedy_without_llvm(tmp_path: Path) -> None:
     """`nacre doctor` gets the reason of each library and the way out."""
     code = (
         "import json; from dataclasses import asdict; from nacre.device.variant import report, llvm_failure\n"
@@ -331,7 +331,7 @@ def test_gpu_renders_what_the_arrays_say() -> None:
     assert name == "cuda_ad_spectral" and float(worst) <= 1e-4
 
 
-def test_an_llvm_that_mitsuba_chose_wrongly_is_told_with_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_llvm_that_mitsuba_chose_wrongly_is_reported_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     """Mitsuba imported first, its own LLVM broken, a good one beside it: not "no usable LLVM was found"."""
     good = llvm.Probe("/x/libLLVM-19.so", "19.1.0", "")
     monkeypatch.setattr(llvm, "find_llvm", lambda: (good, (good,)))

@@ -60,7 +60,7 @@ def test_skewed_noise_keeps_its_mean() -> None:
 
 
 def test_means_that_grain_explains_leave_no_blotches() -> None:
-    """Paint of flakes, walked: one pixel in twenty holds nearly all light, and no halves tell that it is grain."""
+    """Paint of flakes, traced: one pixel in twenty holds nearly all light, and halves do not show that it is grain."""
     from nacre.picture.denoise import KEPT_MEANS, denoised
     from nacre.picture.samples import smooth
 
@@ -87,7 +87,7 @@ def test_smoothing_is_a_gaussian_whose_picture_goes_on_beyond_its_edges(shape: t
 
 
 def noisy_pair(truth: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
-    """A picture with grain of a relative strength, and a draw of it as two halves tell it."""
+    """A picture with grain of a relative strength, and a sample of it as two halves."""
     generator = np.random.default_rng(7)
     halves = [truth * generator.normal(1.0, noise * 2**0.5, truth.shape) for _ in range(2)]
     return 0.5 * (halves[0] + halves[1]), np.asarray(0.5 * (halves[0] - halves[1]), dtype=np.float32)
@@ -229,7 +229,7 @@ def test_what_a_red_body_lost_leaves_no_seam_around_it(monkeypatch: pytest.Monke
     np.testing.assert_allclose(found[body].mean(axis=0), truth[body].mean(axis=0), rtol=0.02)
 
 
-def test_halves_of_the_samples_tell_the_noise_of_a_picture() -> None:
+def test_halves_of_the_samples_give_the_noise_of_a_picture() -> None:
     from nacre.picture import passes
     from nacre.picture import picture as pictures
 
@@ -246,10 +246,10 @@ def test_halves_of_the_samples_tell_the_noise_of_a_picture() -> None:
             render(material, seed=len(found), **options)
     first, second, by_noise, single = found
     spread = np.mean((first.xyz - second.xyz) ** 2) / 2.0
-    told = np.mean(first.difference**2)
+    stated = np.mean(first.difference**2)
     # halves of a sequence that evens itself out lie further apart than independent ones, never nearer; twice the
     # variance would be as if half of the samples did nothing
-    assert 0.7 * spread < told < 3.0 * spread
+    assert 0.7 * spread < stated < 3.0 * spread
     assert by_noise.difference is not None and single.difference is None
 
 
@@ -428,7 +428,7 @@ def test_glints_and_spectra_stay_as_rendered(tmp_path: Path) -> None:
 
 
 def test_a_picture_of_one_pixel_is_denoised(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of it nothing is lost, and its noise is not to be told in units of that."""
+    """Of it nothing is lost, and its noise is not given in units of that."""
     monkeypatch.delenv("NACRE_DENOISE", raising=False)
     made = nacre.render("oil-slick", size=(1, 1), spp=16)
     assert made.stats["denoised"] and np.isfinite(made.xyz).all() and (made.xyz > 0.0).all()

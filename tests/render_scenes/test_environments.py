@@ -108,7 +108,7 @@ def test_the_environment_light_gives_the_irradiance_of_its_map(turn_deg: float) 
 @pytest.mark.render
 @pytest.mark.render
 @pytest.mark.parametrize("name", ["sun", "sky", "studio", "directional", "map.exr"])
-def test_a_light_that_is_told_its_turn_shines_from_there(name: str, tmp_path: Path) -> None:
+def test_a_light_with_a_stated_turn_shines_from_there(name: str, tmp_path: Path) -> None:
     """Turned by 90 degrees, counter-clockwise from above, it shows in each direction what stood 90 degrees before."""
     import OpenEXR
 

@@ -15,7 +15,7 @@ import pytest
 import nacre
 from nacre.cli.common import STOPPED
 
-# a render whose material stays for ever in compiled code, which no signal breaks off: it tells when it has begun
+# a render whose material stays for ever in compiled code, which no signal breaks off: it reports when it has begun
 SLOW = """
 import ctypes
 import sys
@@ -44,11 +44,11 @@ def test_before_the_first_pass_a_render_leaves_at_once(tmp_path: Path) -> None:
         time.sleep(0.5)
         process.send_signal(signal.SIGINT)
         try:
-            told = process.communicate(timeout=60)[1]
+            reported = process.communicate(timeout=60)[1]
         finally:
             process.kill()
     assert process.returncode == 130
-    assert told == f"{STOPPED}\n"
+    assert reported == f"{STOPPED}\n"
     assert list(tmp_path.iterdir()) == []
 
 

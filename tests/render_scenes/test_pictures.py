@@ -131,7 +131,7 @@ def test_a_grey_sheet_is_grey_under_every_lamp() -> None:
         assert mean / mean.mean() == pytest.approx(np.ones(3), abs=0.01)
 
 
-def test_a_png_tells_how_it_was_made(tmp_path: Path, gold: Any) -> None:
+def test_a_png_states_its_origin(tmp_path: Path, gold: Any) -> None:
     path = tmp_path / "gold.png"
     result = nacre.render(gold, illuminant="A", seed=7, output=path, **SMALL)
     said = read_provenance(path)

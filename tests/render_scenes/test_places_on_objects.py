@@ -18,7 +18,7 @@ from nacre.recipe.model import RecipeContext
 
 pytestmark = pytest.mark.render
 
-# enough to tell titanium from its blue oxide pixel by pixel, which differ by a factor in the share of blue
+# enough to distinguish titanium from its blue oxide pixel by pixel, which differ by a factor in the share of blue
 QUICK: dict[str, Any] = {"size": (24, 24), "spp": 9, "exposure": 0.0, "denoise": False, "progress": False}
 LARGE, MIDDLE = 0.8, 0.1  # of the half that is to be coloured, and of the other
 FAR = np.array([5e5, -3e5, 1e5])
@@ -91,7 +91,7 @@ def test_formulas_of_x_y_and_z_are_seen_on_their_sides_of_the_sphere() -> None:
 
 @pytest.mark.full
 def test_the_unit_and_the_place_of_a_mesh_do_not_matter(tmp_path: Path) -> None:
-    """The place is told from the mesh itself: kilometres, and far from the origin, it is the same picture."""
+    """The position comes from the mesh itself: kilometres, and far from the origin, it is the same picture."""
     material = two_coloured(0.7, 0.2, 0.5, 0.1)
     near = nacre.render(material, shape=block(tmp_path / "near.ply"), **QUICK)
     far = nacre.render(material, shape=block(tmp_path / "far.ply", 1000.0, FAR), **QUICK)
@@ -133,8 +133,8 @@ def test_where_no_object_is_one_line_says_so(tmp_path: Path, monkeypatch: pytest
     assert not list(tmp_path.iterdir())
 
 
-def test_a_mitsuba_scene_of_ones_own_tells_no_object() -> None:
-    """But `make_bsdf` can be told; a point on the ball's surface is at distance 1."""
+def test_an_own_mitsuba_scene_names_no_object() -> None:
+    """But `make_bsdf` takes it; a point on the ball's surface is at distance 1."""
     from nacre.device.bsdf import make_bsdf
     from nacre.device.texture import ObjectFrame, ObjectSpace
     from nacre.device.variant import use_variant

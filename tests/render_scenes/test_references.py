@@ -1,4 +1,4 @@
-"""The long renders that `benchmarks/bench_pictures.py` judges by: kept whole, and of the scenes as they are."""
+"""The long renders that `benchmarks/bench_pictures.py` compares with: kept whole, and of the scenes as they are."""
 
 from __future__ import annotations
 

@@ -135,29 +135,29 @@ def test_the_noise_that_a_picture_states_is_that_of_its_pixels() -> None:
     luminance = np.array([each.xyz[..., 1] for each in made])
     found = float(np.median(np.std(luminance, axis=0, ddof=1) / np.mean(luminance, axis=0)))
     stated = float(np.median([each.stats["noise"] for each in made]))
-    # 12 pictures tell a standard deviation to 21 % a pixel, and the median of a thousand pixels to far less
+    # 12 pictures give a standard deviation to 21 % a pixel, and the median of a thousand pixels to far less
     assert found == pytest.approx(stated, rel=0.1)
 
 
-def test_the_noise_that_is_judged_is_that_of_the_object() -> None:
+def test_the_measured_noise_is_that_of_the_object() -> None:
     """A car in a street is small in its picture; the houses, seen directly, have hardly any noise."""
     asked: dict[str, Any] = {"scene": "sphere", "light": "street", "zoom": 0.4, "size": (32, 32), "exposure": 0.0}
-    is_object = nacre.render(GREY, **asked, background="transparent", spp=16).alpha > 0.5  # in its middle, as judged
+    is_object = nacre.render(GREY, **asked, background="transparent", spp=16).alpha > 0.5  # in its middle, as evaluated
     assert 0.02 < is_object.mean() < 0.3
     made = [nacre.render(GREY, **asked, noise=0.05, seed=seed, denoise=False) for seed in range(12)]
     luminance = np.array([each.xyz[..., 1] for each in made])
     of_pixels = np.std(luminance, axis=0, ddof=1) / np.mean(luminance, axis=0)
     stated = float(np.median([each.stats["noise"] for each in made]))
     assert float(np.median(of_pixels)) < 0.85 * stated  # that of all pixels would have ended it far earlier
-    # 12 pictures tell a standard deviation to 21 % a pixel, and the median of a hundred pixels to 4 %
+    # 12 pictures give a standard deviation to 21 % a pixel, and the median of a hundred pixels to 4 %
     assert float(np.median(of_pixels[is_object])) == pytest.approx(stated, rel=0.15)
 
 
 def test_without_a_pixel_that_sees_the_object_all_of_them_count() -> None:
     part = passes.pass_plan(2, 1, True)
     found = []
-    for judged in (None, np.zeros((4, 4), dtype=bool), np.eye(4, dtype=bool)):
-        spread = passes.Spread(judged)
+    for evaluated in (None, np.zeros((4, 4), dtype=bool), np.eye(4, dtype=bool)):
+        spread = passes.Spread(evaluated)
         spread.add(np.full((4, 4), 1.0), part[0])
         spread.add(1.0 + 0.2 * (1.0 - np.eye(4)), part[1])
         found.append(spread.noise())

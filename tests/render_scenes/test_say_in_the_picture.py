@@ -128,7 +128,7 @@ def test_layers_hold_what_the_camera_sees_first(tmp_path: Path) -> None:
     nearest = np.unravel_index(depth[12:28, 12:28, 0].argmin(), (16, 16))
     facing = normal[12:28, 12:28][nearest]
     assert facing @ ((camera - centre) / distance) > 0.99
-    # four wavelengths a path: 200 samples of a patch tell its grey within a few per cent
+    # four wavelengths a path: 200 samples of a patch give its grey within a few per cent
     np.testing.assert_allclose(result.layers["albedo"][1][16:24, 16:24].mean(axis=(0, 1)), 0.5, atol=0.03)
 
 
@@ -161,7 +161,7 @@ def test_a_cut_out_object_stands_on_nothing_or_on_the_colour(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".jpeg", ".webp", ".png"])
-def test_every_format_tells_how_it_was_made(tmp_path: Path, suffix: str) -> None:
+def test_every_format_states_its_origin(tmp_path: Path, suffix: str) -> None:
     from PIL import Image
 
     path = tmp_path / f"a{suffix}"

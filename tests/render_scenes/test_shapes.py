@@ -92,7 +92,7 @@ def volume(surface: Mesh) -> float:
 
 
 def is_closed(surface: Mesh) -> bool:
-    """Whether every edge, after welding, is walked as often forward as backward: watertight and oriented."""
+    """Whether every edge, after welding, is traversed as often forward as backward: watertight and oriented."""
     faces = welded_faces(surface)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     size = int(faces.max()) + 1
@@ -200,7 +200,7 @@ def test_an_opened_seam_has_no_jump_in_u() -> None:
     assert np.ptp(opened.uv[opened.faces][..., 0], axis=1).max() < 0.5
 
 
-def test_hairs_start_on_the_surface_and_lean_as_told() -> None:
+def test_hairs_start_on_the_surface_and_lean_as_stated() -> None:
     ball = objects.balls()
     lean = np.array([0.0, 0.0, 2.0])
     coat = insects.fur(ball, 50, (0.1, 0.2), 0.002, lean, seed=1)
@@ -213,7 +213,7 @@ def test_hairs_start_on_the_surface_and_lean_as_told() -> None:
     assert (tip - root)[:, 2].min() > 0.0
 
 
-def test_ten_millimetres_on_a_label_are_as_long_as_told() -> None:
+def test_ten_millimetres_on_a_label_have_the_stated_length() -> None:
     drawn = insects.label_print(("A", "B", "C"), 0.5) < 0.3
     runs = np.diff(np.flatnonzero(~np.pad(drawn, ((0, 0), (1, 1))).ravel()))  # the bar is the longest of ink
     assert (runs.max() - 1) / drawn.shape[1] * insects.LABEL_WIDTH == pytest.approx(0.5, abs=0.02)

@@ -321,7 +321,7 @@ def test_an_interrupt_in_a_frames_last_pass_ends_the_animation(
     assert not (tmp_path / "turn.gif").exists()
 
 
-def test_the_command_tells_that_an_animation_was_stopped(
+def test_the_command_reports_that_an_animation_was_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It had named the movie that is not there, with exit status 0."""

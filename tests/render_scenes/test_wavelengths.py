@@ -14,7 +14,7 @@ pytestmark = pytest.mark.render
 
 
 def drawn(response: Any) -> tuple[np.ndarray, np.ndarray]:
-    """XYZ of light of equal energy as single wavelengths of paths tell it, `[draw, 3]`; the wavelengths `[draw]`."""
+    """XYZ of light of equal energy, estimated by single wavelengths of paths, `[draw, 3]`; the wavelengths `[draw]`."""
     from nacre.device.variant import use_variant
 
     mi = use_variant()

@@ -84,8 +84,8 @@ def test_a_design_that_cannot_be_is_one_line(client: TestClient, change: dict[st
 def test_layers_are_free_from_5_nm_to_twice_their_thickness(client: TestClient) -> None:
     found = client.post("/api/parameters", json={"name": "film.toml", "text": FILM}).json()
     assert found["geometry"] == "specular" and "refused" not in found
-    told = [(n["path"], n["low"], n["high"], n["about"], n["selected"]) for n in found["parameters"]]
-    assert told == [
+    reported = [(n["path"], n["low"], n["high"], n["about"], n["selected"]) for n in found["parameters"]]
+    assert reported == [
         ("layers[0].thickness_nm", 5.0, 600.0, "SiO2", True),
         ("layers[1].thickness_nm", 5.0, 120.0, "TiO2", True),
     ]
@@ -124,10 +124,10 @@ def test_a_lightness_that_is_asked_for_counts_on_the_chart_too() -> None:
 
 
 def test_the_answer_that_is_loaded_shows_what_is_said_of_it(client: TestClient) -> None:
-    told = events(client, "design")
-    kinds = [event["kind"] for event in told]
+    reported = events(client, "design")
+    kinds = [event["kind"] for event in reported]
     assert kinds[0] == "begun" and kinds[-2:] == ["ended", "done"] and "final" in kinds
-    best = next(event for event in told if event["kind"] == "final")
+    best = next(event for event in reported if event["kind"] == "final")
     assert "# a comment" in best["text"] and "# oxide" in best["text"]
     data = parse_toml(best["text"], "answer")
     assert all(
@@ -145,8 +145,8 @@ def test_the_answer_that_is_loaded_shows_what_is_said_of_it(client: TestClient) 
 
 @pytest.mark.full
 def test_a_hue_that_is_drawn_is_the_hue_of_the_answer(client: TestClient) -> None:
-    told = events(client, "design", targets=[{"angle": 0, "hue": 290, "span": 15, "chroma": 25}], seconds=4)
-    best = next(event for event in told if event["kind"] == "final")
+    reported = events(client, "design", targets=[{"angle": 0, "hue": 290, "span": 15, "chroma": 25}], seconds=4)
+    best = next(event for event in reported if event["kind"] == "final")
     seen = nacre.spectrum(nacre.material(parse_toml(best["text"], "answer")), [0.0])
     _, a, b = xyz_to_lab(spectrum_to_xyz(seen.specular_reflectance, seen.wavelengths_nm, "D65"), white_xyz("D65"))[0]
     assert best["targets"][0]["met"]
@@ -162,8 +162,8 @@ def test_a_part_of_a_blend_may_be_free_and_its_answer_holds_the_part(client: Tes
     paths = [number["path"] for number in found["parameters"] if number["selected"]]
     assert "first.layers[0].thickness_nm" in paths and found["geometry"] == "specular"
     parameters = [{"path": "first.layers[0].thickness_nm", "low": 5, "high": 600}]
-    told = events(client, "design", name="b.toml", text=blend, parameters=parameters)
-    best = next(event for event in told if event["kind"] == "final")
+    reported = events(client, "design", name="b.toml", text=blend, parameters=parameters)
+    best = next(event for event in reported if event["kind"] == "final")
     wanted = best["changes"]["first.layers[0].thickness_nm"]
     assert parse_toml(best["text"], "answer")["first"]["layers"][0]["thickness_nm"] == wanted
 
@@ -192,10 +192,10 @@ def test_what_cannot_be_answered_is_one_line(client: TestClient, change: dict[st
 @pytest.mark.full
 def test_the_gamut_marks_a_colour_of_its_own_inside_and_one_that_no_surface_has_outside(client: TestClient) -> None:
     # the colour of the recipe itself is reached; a saturated pure blue of sRGB lies beyond two layers on silicon
-    told = events(
+    reported = events(
         client, "gamut", targets=[{"angle": 0, "colour": "#35006a"}, {"angle": 60, "colour": "#00ff00"}], seconds=12
     )
-    limits, first, second, done = told
+    limits, first, second, done = reported
     assert (limits["kind"], done["kind"]) == ("limits", "done")
     assert first["geometry"] == "specular 0" and first["targets"][0]["inside"]
     assert second["geometry"] == "specular 60" and not second["targets"][0]["inside"]

@@ -1,4 +1,4 @@
-"""`nacre.studio(material)`: what the widget is told, and how it is seen in a browser, with a stub of the notebook."""
+"""`nacre.studio(material)`: the messages to the widget, and its picture in a browser, with a stub of the notebook."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ STUB = """async ([source, style]) => {
   const heard = new Set(), sent = (window.sent = []);
   const model = { on: (name, f) => name === 'msg:custom' && heard.add(f), off: (name, f) => heard.delete(f),
     send: (content) => sent.push(content) };
-  window.tell = (content, texts) => heard.forEach((f) => f(content, texts.map((text) => {
+  window.deliver = (content, texts) => heard.forEach((f) => f(content, texts.map((text) => {
     const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0)), odd = new Uint8Array(bytes.length + 1);
     odd.set(bytes, 1);
     return new DataView(odd.buffer, 1);
@@ -54,8 +54,8 @@ STUB = """async ([source, style]) => {
 
 
 def answers(lamp: str = "D65") -> tuple[NotebookView, Messages]:
-    told: Messages = []
-    return NotebookView(lambda content, *buffers: told.append((content, b"".join(buffers))), lamp), told
+    sent: Messages = []
+    return NotebookView(lambda content, *buffers: sent.append((content, b"".join(buffers))), lamp), sent
 
 
 def header(packed: bytes) -> dict[str, Any]:
@@ -69,12 +69,12 @@ def mirror(packed: bytes) -> Any:
     return np.frombuffer(packed, "<f4", 91 * 3, 4 + length).reshape(91, 3)
 
 
-def test_a_film_is_told_settled_at_once_with_its_colours_and_sliders() -> None:
-    asked, told = answers()
+def test_a_film_is_sent_settled_at_once_with_its_colours_and_sliders() -> None:
+    asked, sent = answers()
     film = nacre.material(FILM)
     asked.show(film)
     assert asked.worker.wait(PATIENCE_S)
-    ((content, packed),) = told
+    ((content, packed),) = sent
     assert content == {"kind": "appearance"} and header(packed)["draft"] is False
     assert header(packed)["numbers"] == [{"path": FIRST, "value": 300.0, "max": 600.0}]
     found = nacre.spectrum(film, [0.0, 60.0])
@@ -83,28 +83,28 @@ def test_a_film_is_told_settled_at_once_with_its_colours_and_sliders() -> None:
     np.testing.assert_allclose(mirror(packed)[[0, 60]], wanted, atol=1e-4)  # the white of sRGB is rounded
 
 
-def test_a_slow_material_is_told_as_a_draft_and_then_settled() -> None:
-    asked, told = answers()
+def test_a_slow_material_is_sent_as_a_draft_and_then_settled() -> None:
+    asked, sent = answers()
     asked.show(nacre.material(OVER_BASE))
     assert asked.worker.wait(PATIENCE_S)
-    assert [header(packed)["draft"] for _, packed in told] == [True, False]
+    assert [header(packed)["draft"] for _, packed in sent] == [True, False]
 
 
-def test_the_newest_material_is_told_last_and_nothing_after_it() -> None:
-    asked, told = answers()
+def test_the_newest_material_is_sent_last_and_nothing_after_it() -> None:
+    asked, sent = answers()
     for thickness in (100, 150, 200):
         asked.show(nacre.material({**OVER_BASE, "layers": [{"material": "SiO2", "thickness_nm": thickness}]}))
     assert asked.material.get(FIRST) == 200
     assert asked.worker.wait(PATIENCE_S)
-    seen = [header(packed) for _, packed in told]
+    seen = [header(packed) for _, packed in sent]
     assert [look["seq"] for look in seen] == sorted(look["seq"] for look in seen)
     assert seen[-1]["numbers"][0]["value"] == 200 and seen[-1]["draft"] is False
 
 
 @pytest.mark.parametrize("is_stopped", [False, True])
-def test_a_look_that_is_not_wanted_any_more_is_not_told(is_stopped: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_that_is_no_longer_requested_is_not_sent(is_stopped: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     look = next(appearances(nacre.material(FILM), "D65", lambda: False))
-    asked, told = answers()
+    asked, sent = answers()
 
     def drafted(material: nacre.Material, *_: Any) -> Iterator[Appearance]:
         if material.get(FIRST) == 300:  # while it is solved, another one is shown
@@ -115,12 +115,12 @@ def test_a_look_that_is_not_wanted_any_more_is_not_told(is_stopped: bool, monkey
     monkeypatch.setattr("nacre.studio.notebook.appearances", drafted)
     asked.show(nacre.material(FILM))
     assert asked.worker.wait(PATIENCE_S)
-    seen = [(header(packed)["seq"], header(packed)["draft"]) for _, packed in told]
+    seen = [(header(packed)["seq"], header(packed)["draft"]) for _, packed in sent]
     assert seen == ([] if is_stopped else [(2, True), (2, False)])
 
 
 def test_a_slider_changes_the_material_and_nonsense_does_not() -> None:
-    asked, told = answers()
+    asked, sent = answers()
     asked.show(nacre.material(FILM))
     for nonsense in ("x", {}, {"kind": "vary", "path": "substrate", "value": 1}, {"kind": "vary", "path": FIRST}):
         asked.receive(nonsense)
@@ -130,9 +130,9 @@ def test_a_slider_changes_the_material_and_nonsense_does_not() -> None:
     asked.receive({"kind": "vary", "path": FIRST, "value": -1})
     assert asked.material.get(FIRST) == 120
     assert asked.worker.wait(PATIENCE_S)
-    (said,) = [content["message"] for content, _ in told if content["kind"] == "error"]
+    (said,) = [content["message"] for content, _ in sent if content["kind"] == "error"]
     assert FIRST in said and "\n" not in said
-    assert header(told[-1][1] or told[-2][1])["numbers"][0] == {"path": FIRST, "value": 120.0, "max": 600.0}
+    assert header(sent[-1][1] or sent[-2][1])["numbers"][0] == {"path": FIRST, "value": 120.0, "max": 600.0}
 
 
 def test_sliders_leave_out_constants_of_media_and_zeros() -> None:
@@ -143,9 +143,9 @@ def test_sliders_leave_out_constants_of_media_and_zeros() -> None:
 def test_without_anywidget_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "anywidget", None)
     notebook.widget_class.cache_clear()  # another test may have made the class
-    with pytest.raises(nacre.NacreError, match=r"pip install 'nacre\[notebook\]'") as told:
+    with pytest.raises(nacre.NacreError, match=r"pip install 'nacre\[notebook\]'") as sent:
         nacre.studio(nacre.material(FILM))
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(sent.value)
 
 
 @pytest.mark.parametrize("first", ["import nacre; nacre.studio", "from nacre.studio.notebook import NotebookView"])
@@ -158,12 +158,12 @@ def test_the_studio_is_a_function_and_a_package_whichever_is_used_first(first: s
 
 def test_the_widget_shows_another_material_and_refuses_what_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     widget = nacre.studio(nacre.material(FILM))
-    told: Messages = []
-    monkeypatch.setattr(widget, "send", lambda content, buffers: told.append((content, b"".join(buffers))))
+    sent: Messages = []
+    monkeypatch.setattr(widget, "send", lambda content, buffers: sent.append((content, b"".join(buffers))))
     assert widget.view.worker.wait(PATIENCE_S)
     widget.material = "bragg-mirror"
     assert widget.view.worker.wait(PATIENCE_S)
-    assert widget.material.name == "bragg-mirror" and header(told[-1][1])["name"] == "bragg-mirror"
+    assert widget.material.name == "bragg-mirror" and header(sent[-1][1])["name"] == "bragg-mirror"
     for wrong in (3, "no-such-recipe"):
         with pytest.raises(nacre.NacreError):
             widget.material = wrong
@@ -214,14 +214,14 @@ def test_the_sphere_is_seen_in_a_cell_and_follows_the_material_and_its_slider(br
     page.on("request", lambda request: troubles.append(request.url) if request.url.startswith("http") else None)
     style = notebook.files("nacre.studio").joinpath("widget.css").read_text(encoding="utf-8")
     page.evaluate(STUB, [notebook.bundle("widget.js"), style])
-    asked, told = answers()
+    asked, sent = answers()
 
     def hand_over() -> None:
         for content in page.evaluate("window.sent.splice(0)"):
             asked.receive(content)
-        while told:
-            content, packed = told.pop(0)
-            page.evaluate("([c, b]) => window.tell(c, b)", [content, [base64.b64encode(packed).decode()]])
+        while sent:
+            content, packed = sent.pop(0)
+            page.evaluate("([c, b]) => window.deliver(c, b)", [content, [base64.b64encode(packed).decode()]])
 
     def settles(seq: int) -> bool:
         hand_over()
@@ -229,7 +229,7 @@ def test_the_sphere_is_seen_in_a_cell_and_follows_the_material_and_its_slider(br
             page.locator(".nacre-studio").get_attribute("data-seq") == str(seq)
             and page.locator("#view").get_attribute("data-seq") == str(seq)
             and page.locator(".nacre-studio").get_attribute("data-state") == "settled"
-            and page.locator("#view").get_attribute("data-judged") == "true"
+            and page.locator("#view").get_attribute("data-measured") == "true"
         )
 
     asked.show(nacre.material(FILM))
@@ -300,11 +300,11 @@ def test_a_notebook_of_more_materials_than_a_browser_has_contexts_shows_each_whe
     style = notebook.files("nacre.studio").joinpath("widget.css").read_text(encoding="utf-8")
     page.evaluate(CELLS, [notebook.bundle("widget.js"), style, MANY])
     for cell in range(MANY):
-        asked, told = answers()
+        asked, sent = answers()
         asked.show(nacre.material({**FILM, "layers": [{"material": "SiO2", "thickness_nm": 100 + 20 * cell}]}))
         assert asked.worker.wait(PATIENCE_S)
         asked.send_room()
-        for content, packed in told:
+        for content, packed in sent:
             page.evaluate("([i, c, b]) => window.cells[i](c, b)", [cell, content, base64.b64encode(packed).decode()])
 
     def seen(cell: int) -> float:

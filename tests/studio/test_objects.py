@@ -56,21 +56,21 @@ def last_png(lines: str) -> bytes:
 
 def unpack(data: bytes) -> dict[str, Any]:
     (length,) = struct.unpack_from("<I", data)
-    told: dict[str, Any] = json.loads(data[4 : 4 + length])
-    corners = np.frombuffer(data, "<f4", 8 * told["vertices"], 4 + length).reshape(-1, 8)
-    order = np.frombuffer(data, "<u4", told["indices"], 4 + length + corners.nbytes)
-    sheet = np.frombuffer(data, "u1", int(np.prod(told["print"])), 4 + length + corners.nbytes + order.nbytes)
+    reported: dict[str, Any] = json.loads(data[4 : 4 + length])
+    corners = np.frombuffer(data, "<f4", 8 * reported["vertices"], 4 + length).reshape(-1, 8)
+    order = np.frombuffer(data, "<u4", reported["indices"], 4 + length + corners.nbytes)
+    sheet = np.frombuffer(data, "u1", int(np.prod(reported["print"])), 4 + length + corners.nbytes + order.nbytes)
     assert 4 + length + corners.nbytes + order.nbytes + sheet.nbytes == len(data)
-    return {**told, "corners": corners, "order": order, "sheet": sheet.reshape(told["print"])}
+    return {**reported, "corners": corners, "order": order, "sheet": sheet.reshape(reported["print"])}
 
 
 def unpack_place(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Layers of a place, and what its lamp adds to a matt white floor."""
     (length,) = struct.unpack_from("<I", data)
-    told = json.loads(data[4 : 4 + length])
-    ((name, shape),) = told["arrays"]
+    reported = json.loads(data[4 : 4 + length])
+    ((name, shape),) = reported["arrays"]
     assert name == "room" and shape == [LAYERS, ROWS, 2 * ROWS, 3]
-    lamp = told["lamp"]
+    lamp = reported["lamp"]
     added = np.zeros(3) if lamp is None else np.array(lamp["irradiance"]) * lamp["towards"][2] / np.pi
     return np.frombuffer(data, "<f4", offset=4 + length).reshape(shape), added
 
@@ -153,8 +153,8 @@ BROKEN = [
 @pytest.mark.parametrize("name, content, words", BROKEN)
 def test_a_mesh_that_cannot_be_read_is_one_line(client: TestClient, name: str, content: bytes, words: str) -> None:
     answer = client.post("/api/mesh", params={"name": name}, content=content)
-    told = answer.json()["error"]
-    assert answer.status_code == 422 and words in told and "\n" not in told and "/tmp" not in told
+    reported = answer.json()["error"]
+    assert answer.status_code == 422 and words in reported and "\n" not in reported and "/tmp" not in reported
 
 
 def test_a_large_mesh_is_refused(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -330,6 +330,6 @@ def test_a_dropped_scan_is_stored_beside_the_recipes_and_becomes_a_relief(client
 @pytest.mark.parametrize("name, content", [("a.bin", b"\0\1\2\3"), ("../../x.dpt", b"1,2\n2,3\n3,4\n"), ("e.txt", b"")])
 def test_a_dropped_file_that_cannot_be_read_is_one_line(client: TestClient, name: str, content: bytes) -> None:
     answer = client.post("/api/measurement", params={"name": name}, content=content)
-    told = answer.json()["error"]
-    assert answer.status_code == 422 and "\n" not in told and "/tmp" not in told
-    assert name.rpartition("/")[2] in told
+    reported = answer.json()["error"]
+    assert answer.status_code == 422 and "\n" not in reported and "/tmp" not in reported
+    assert name.rpartition("/")[2] in reported

@@ -191,7 +191,7 @@ def test_nothing_typed_is_lost_when_the_server_is_killed_and_started_anew(page: 
     expect(field(page, THICKNESS)).to_have_value("123")
 
 
-def test_what_a_dead_server_is_asked_is_told_and_the_object_that_is_shown_stays_chosen(
+def test_a_request_to_a_dead_server_is_reported_and_the_object_that_is_shown_stays_chosen(
     page: Page, server: Server
 ) -> None:
     server.kill()
@@ -205,7 +205,7 @@ def test_what_a_dead_server_is_asked_is_told_and_the_object_that_is_shown_stays_
     expect(page.locator("#view")).to_have_attribute("data-object", "ring")
 
 
-def test_a_server_with_a_new_token_is_told_and_its_address_brings_back_what_was_typed(
+def test_a_server_with_a_new_token_is_reported_and_its_address_restores_the_text(
     browser: Browser, server: Server
 ) -> None:
     context = browser.new_context()
@@ -277,7 +277,7 @@ def test_pictures_of_steps_are_taken_at_rest_and_none_while_a_number_is_dragged(
     expect(page.locator("#history img").last).to_have_attribute("src", PICTURE)
 
 
-def test_a_kept_look_stands_beside_the_new_one_and_steps_are_gone_back_to_by_their_pictures(page: Page) -> None:
+def test_a_stored_version_stands_beside_the_new_one_and_history_is_opened_by_its_pictures(page: Page) -> None:
     before = picture(page)
     half = before.shape[1] // 2
     for drawing in ("spectrum", "track"):

@@ -1,4 +1,4 @@
-"""axe-core, which we did not write, judges the page: names, roles, contrast; in light and dark, with all that opens."""
+"""axe-core, which we did not write, checks the page: names, roles, contrast; in light and dark, with all that opens."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_axe_finds_nothing(page: Page, theme: str) -> None:
 
 @pytest.mark.full
 def test_axe_sees_what_is_wrong(page: Page) -> None:
-    """The judge can fail: a control without a name, and ink too near its ground."""
+    """The check can fail: a control without a name, and ink too near its ground."""
     page.evaluate("document.querySelector('header').append(document.createElement('button'))")
     page.evaluate("document.getElementById('ribbon-title').style.color = '#ccc'")
     found = violations(page)

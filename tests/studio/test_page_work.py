@@ -206,7 +206,7 @@ def test_another_place_is_seen_around_the_object(page: Page) -> None:
 
 
 @pytest.mark.full
-def test_a_kept_look_follows_the_lamp(page: Page) -> None:
+def test_a_stored_version_follows_the_lamp(page: Page) -> None:
     page.get_by_role("button", name="Store as B").click()
     slider(page, THICKNESS).fill("110")
     until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 110)

@@ -101,8 +101,8 @@ def test_a_pearls_picture_is_made_of_the_colours_that_its_walk_sends_there() -> 
         wi = np.stack([np.sin(light_rad), 0.0 * light_rad, np.cos(light_rad)], axis=-1)
         eye = np.broadcast_to(direction(np.radians(eye_deg)), wi.shape).copy()
         sure, guessed = model.surrogate_radiance(eye, wi, LOBE_NM)
-        walked, _ = model.estimate_radiance(eye, wi, LOBE_NM, 20_000, 1)
-        own, known = (spectrum_to_xyz(values, LOBE_NM) for values in (sure + guessed, walked))
+        traced, _ = model.estimate_radiance(eye, wi, LOBE_NM, 20_000, 1)
+        own, known = (spectrum_to_xyz(values, LOBE_NM) for values in (sure + guessed, traced))
         np.testing.assert_allclose(own, known, rtol=HARDLY_SEEN)
 
 

@@ -176,8 +176,8 @@ def test_a_recipe_reaches_no_file_outside_the_folder(page: TestClient, folder: P
         assert "outside the opened folder" in ask(ws, 2, text=nested)["error"]
     (folder / "inside.csv").write_text((folder.parent / "secret.csv").read_text())
     with page.websocket_connect(SOCKET) as ws:
-        told = ask(ws, 1, text='family = "film"\nsubstrate = {file = "inside.csv"}\n')
-    assert "outside" not in told.get("error", "")
+        reported = ask(ws, 1, text='family = "film"\nsubstrate = {file = "inside.csv"}\n')
+    assert "outside" not in reported.get("error", "")
 
 
 def test_the_table_is_the_colour_of_the_spectrum(page: TestClient, folder: Path) -> None:
@@ -201,7 +201,7 @@ def test_another_lamp_gives_other_swatches_of_the_same_spectrum(page: TestClient
     assert np.abs(day["mirror"] - lamp["mirror"]).max() > 0.01
 
 
-def test_an_answer_tells_how_far_its_colours_are_from_a_kept_look(page: TestClient) -> None:
+def test_an_answer_states_the_difference_from_a_stored_version(page: TestClient) -> None:
     with page.websocket_connect(SOCKET) as ws:
         kept = [swatch["lab"] for swatch in ask(ws, 1)["swatches"]]
         assert not np.any(ask(ws, 2, compared_lab=kept)["difference"])
@@ -267,21 +267,21 @@ def test_an_impossible_change_is_one_line(edit: dict[str, Any]) -> None:
         (FILM.replace('"Si"', '"Sii"'), 2),
     ],
 )
-def test_a_broken_recipe_is_told_with_its_line(page: TestClient, text: str, line: int) -> None:
+def test_a_broken_recipe_is_reported_with_its_line(page: TestClient, text: str, line: int) -> None:
     with page.websocket_connect(SOCKET) as ws:
-        told = ask(ws, 3, text=text)
-        assert told["line"] == line and "\n" not in told["error"] and told["seq"] == 3
-        assert "Traceback" not in told["error"] and "bug" not in told["error"]
+        reported = ask(ws, 3, text=text)
+        assert reported["line"] == line and "\n" not in reported["error"] and reported["seq"] == 3
+        assert "Traceback" not in reported["error"] and "bug" not in reported["error"]
         assert ask(ws, 4)["seq"] == 4  # and the session goes on
 
 
 def test_a_mistaken_number_of_the_form_stays_in_the_text_with_its_line(page: TestClient) -> None:
     edit = {"op": "set", "path": "layers[1].thickness_nm", "value": -60}
     with page.websocket_connect(SOCKET) as ws:
-        told = ask(ws, 1, edits=[edit])
-        assert "thickness_nm = -60" in told["text"] and told["line"] == 5
-        assert told["data"]["layers"][1]["thickness_nm"] == -60
-        mended = ask(ws, 2, text=told["text"], edits=[{**edit, "value": 61}])
+        reported = ask(ws, 1, edits=[edit])
+        assert "thickness_nm = -60" in reported["text"] and reported["line"] == 5
+        assert reported["data"]["layers"][1]["thickness_nm"] == -60
+        mended = ask(ws, 2, text=reported["text"], edits=[{**edit, "value": 61}])
         assert "thickness_nm = 61" in mended["text"] and "error" not in mended
 
 
@@ -430,8 +430,8 @@ def test_a_picture_that_cannot_be_is_one_line(page: TestClient) -> None:
         {"text": FILM, "name": "film.toml", "size": 9999},
         {"text": "", "name": "", "scene": "/etc/x.xml"},
     ):
-        told = page.post("/api/picture", json=body)
-        assert told.status_code == 422 and "\n" not in told.json()["error"]
+        reported = page.post("/api/picture", json=body)
+        assert reported.status_code == 422 and "\n" not in reported.json()["error"]
 
 
 @pytest.mark.full
@@ -443,9 +443,9 @@ def test_the_settled_picture_is_a_picture_of_the_text(page: TestClient) -> None:
     from PIL import Image
 
     asked = {"text": FILM, "name": "film.toml", "size": 128, "seconds": 1}
-    told = page.post("/api/picture", json=asked)
-    assert told.status_code == 200, told.text
-    last = [json.loads(line) for line in told.text.splitlines()][-2]
+    reported = page.post("/api/picture", json=asked)
+    assert reported.status_code == 200, reported.text
+    last = [json.loads(line) for line in reported.text.splitlines()][-2]
     assert last["kind"] == "picture" and last["is_last"]
     picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(last["png"].partition(",")[2]))))
     assert picture.shape == (128, 128, 3) and picture.std() > 5

@@ -48,20 +48,20 @@ def test_a_report_that_cannot_be_is_one_line(client: TestClient, body: dict[str,
     assert answer.status_code == 422 and "\n" not in answer.json()["error"]
 
 
-def test_the_report_is_that_of_the_command_and_tells_two_recipes_apart(client: TestClient, folder: Path) -> None:
+def test_the_report_is_that_of_the_command_and_distinguishes_two_recipes(client: TestClient, folder: Path) -> None:
     other = FILM.replace("300", "290")
     recipes = [{"text": text, "name": "film.toml"} for text in (FILM, other)]
-    told = client.post("/api/report", json={"recipes": recipes, "lamp": "A"}).json()
+    reported = client.post("/api/report", json={"recipes": recipes, "lamp": "A"}).json()
     (folder / "other.toml").write_text(other)
     wanted = [nacre.report(folder / name, illuminant="A") for name in ("film.toml", "other.toml")]
-    for report, own in zip(told["reports"], wanted, strict=True):
+    for report, own in zip(reported["reports"], wanted, strict=True):
         mirror = next(table for table in report["colours"] if table["kind"] == "specular")
         assert own.specular is not None
         np.testing.assert_allclose(mirror["lab"], own.specular.lab, atol=1e-9)
         assert [name for name, _ in report["numbers"]][:2] == ["flop index (Alman)", "gloss 20 degrees (GU)"]
     assert wanted[0].specular is not None and wanted[1].specular is not None
     far = delta_e_2000(wanted[0].specular.lab, wanted[1].specular.lab)
-    np.testing.assert_allclose(told["differences"]["specular"], far, atol=1e-9)
+    np.testing.assert_allclose(reported["differences"]["specular"], far, atol=1e-9)
     wrong = client.post("/api/report", json={"recipes": [{"text": FILM.replace("Si", "Xx"), "name": "film.toml"}]})
     assert wrong.status_code == 422 and "Xx" in wrong.json()["error"] and "\n" not in wrong.json()["error"]
 

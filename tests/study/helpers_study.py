@@ -26,7 +26,7 @@ def dask_over_tcp(folder: Path, workers: int, *options: str, protocol: str = "tc
         options: of scheduler and workers, such as those of TLS.
     """
     processes: list[subprocess.Popen[bytes]] = []
-    told = folder / f"scheduler-{workers}.json"
+    place = folder / f"scheduler-{workers}.json"
     quiet = {**os.environ, **SINGLE_THREADED, "DASK_LOGGING__DISTRIBUTED": "error"}
 
     def start(module: str, *arguments: str) -> None:
@@ -35,14 +35,14 @@ def dask_over_tcp(folder: Path, workers: int, *options: str, protocol: str = "tc
             processes.append(subprocess.Popen(command, env=quiet, stdout=log, stderr=log))
 
     try:
-        start("dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(told),
+        start("dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(place),
               "--protocol", protocol, *options)  # fmt: skip
         address = ""
         deadline = time.monotonic() + START_TIMEOUT_S
         while not address:
             assert time.monotonic() < deadline and processes[0].poll() is None, "the scheduler did not start"
             with contextlib.suppress(FileNotFoundError, ValueError, KeyError):
-                address = json.loads(told.read_text())["address"]
+                address = json.loads(place.read_text())["address"]
             time.sleep(0.1)
         for _ in range(workers):
             start("dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--memory-limit", "0",

@@ -65,7 +65,7 @@ def test_a_good_run_needs_no_cause() -> None:
     assert result.verdict == "within noise"
 
 
-def test_mirrored_layers_of_a_free_film_cannot_be_told_apart() -> None:
+def test_mirrored_layers_of_a_free_film_cannot_be_distinguished() -> None:
     # a lossless stack reflects the same power from both sides, at every angle and in both polarisations
     material, tolerances = coating(SYMMETRIC, 3.0)
     sample = material.vary({"layers[0].thickness_nm": 126.0})

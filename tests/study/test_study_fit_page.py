@@ -24,7 +24,7 @@ def measured(folder: Path, thickness_nm: float, waves: str = "400:750:10") -> Pa
     return name
 
 
-def test_the_page_of_a_spectrum_tells_numbers_bounds_and_differences_and_needs_nothing_else(tmp_path: Path) -> None:
+def test_the_page_of_a_spectrum_holds_numbers_bounds_and_differences_and_is_self_contained(tmp_path: Path) -> None:
     csv, page = measured(tmp_path, 333.0), tmp_path / "fit.html"
     arguments = ["fit", str(csv), str(tmp_path / "oxide.toml"), "--parameter", "layers[0].thickness_nm=100:500"]
     assert run([*arguments, "--report", str(page), "-o", str(tmp_path / "fitted.toml")]) == 0

@@ -42,9 +42,9 @@ def test_two_sweeps_on_one_store_give_what_one_gives(tmp_path: Path) -> None:
     run_sweep(load_sweep(path), tmp_path / "one.zarr", workers=Workers(1))
     command = [*SWEEP, str(path), "-o", str(tmp_path / "two.zarr"), "--jobs", "1"]
     both = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
-    told = [process.communicate(timeout=120)[1] for process in both]
-    assert [process.returncode for process in both] == [0, 0], told
-    assert all("120 of 120 points" in text for text in told)
+    reported = [process.communicate(timeout=120)[1] for process in both]
+    assert [process.returncode for process in both] == [0, 0], reported
+    assert all("120 of 120 points" in text for text in reported)
     expected, found = read_all(tmp_path / "one.zarr"), read_all(tmp_path / "two.zarr")
     for name, values in expected.items():
         np.testing.assert_array_equal(found[name], values)

@@ -1,6 +1,6 @@
 """Choose and order the tests for a mutant: those that reach its line, the cheapest for what they know of it first.
 
-A tracer tells which test reaches which line. It sees nothing of what numba compiled, and what runs once while
+A tracer records which test reaches which line. It sees nothing of what numba compiled, and what runs once while
 importing it ascribes to nobody: such a line is reached by the tests that reach a function which names its function,
 class or constant, and so on up.
 """

@@ -1,7 +1,7 @@
-"""What pytest does in a run for a mutant: the tests of a plan in its order, and a log that tells of each step.
+"""What pytest does in a run for a mutant: the tests of a plan in its order, and a log of each step.
 
 `NACRE_MUTANTS_LOG` names the log, one JSON object a line; `NACRE_MUTANTS_PLAN` a file with the tests' names, all if
-unset. Times are of the processor, so that a loaded machine makes no test slow, and compiling is told apart from
+unset. Times are of the processor, so that a loaded machine makes no test slow, and compiling is separated from
 running: a mutant has to compile what the baseline took from its cache.
 """
 
@@ -25,14 +25,14 @@ def cpu() -> float:
     return spent.user + spent.system + spent.children_user + spent.children_system
 
 
-def tell(**what: Any) -> None:
+def log_event(**what: Any) -> None:
     """Append a line to the log."""
     with open(LOG, "a", encoding="utf-8") as log:
         log.write(json.dumps({**what, "cpu": cpu(), "at": time.time()}) + "\n")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """The same examples in every run, and no deadline that a busy machine would miss; tell of compiling."""
+    """The same examples in every run, and no deadline that a busy machine would miss; log compiling."""
     import hypothesis
     from numba.core import event
 
@@ -45,12 +45,12 @@ def pytest_configure(config: pytest.Config) -> None:
         def on_start(self, _: Any) -> None:
             self.depth += 1
             if self.depth == 1:
-                tell(compile="start")
+                log_event(compile="start")
 
         def on_end(self, _: Any) -> None:
             self.depth -= 1
             if self.depth == 0:
-                tell(compile="end")
+                log_event(compile="end")
 
     event.register("numba:compile", Compiling())
 
@@ -62,26 +62,26 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         with open(PLAN, encoding="utf-8") as plan:
             place = {name: i for i, name in enumerate(json.load(plan))}
         items[:] = sorted((i for i in items if i.nodeid in place), key=lambda item: place[item.nodeid])
-    tell(collected=len(items))
+    log_event(collected=len(items))
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
-    """Tell when a test starts and ends."""
-    tell(start=item.nodeid)
+    """Log when a test starts and ends."""
+    log_event(start=item.nodeid)
     result = yield
-    tell(end=item.nodeid)
+    log_event(end=item.nodeid)
     return result
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Tell how each part of a test came out."""
+    """Log the outcome of each part of a test."""
     if report.when == "call" or report.outcome != "passed":
         reason = "" if report.outcome == "passed" else str(report.longrepr)[-1500:]
-        tell(test=report.nodeid, outcome=report.outcome, reason=reason)
+        log_event(test=report.nodeid, outcome=report.outcome, reason=reason)
 
 
 def pytest_collectreport(report: pytest.CollectReport) -> None:
-    """Tell of a file that cannot even be imported."""
+    """Log a file that cannot be imported."""
     if report.failed:
-        tell(test=report.nodeid, outcome="failed", reason=str(report.longrepr)[-1500:])
+        log_event(test=report.nodeid, outcome="failed", reason=str(report.longrepr)[-1500:])

@@ -49,7 +49,7 @@ def write_report(root: Path, place: Path) -> int:
     lines += [
         "", "## Survivors", "",
         f"{len(equal)} of the {len(tried) - len(killed)} are equivalent, or so nearly that no claim parts them from "
-        f"the original, as judged by reading. For {len(short)} the time ran out before all tests that reach the line "
+        f"the original, by our own reading. For {len(short)} the time ran out before all tests that reach the line "
         "had run.", "",
     ]  # fmt: skip
     if "note" in notes:

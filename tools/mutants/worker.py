@@ -113,7 +113,7 @@ def spent(pid: int) -> float:
 
 
 class Watch:
-    """Reads a run's log and judges each test's time against the baseline."""
+    """Reads a run's log and compares each test's time with the baseline."""
 
     def __init__(self, log: Path, baseline: Baseline) -> None:
         self.log, self.baseline = log, baseline
@@ -148,10 +148,10 @@ class Watch:
             self.killer = self.killer or {"by": "failure", "test": event["test"], "reason": event["reason"][-600:]}
         elif "end" in event:
             self.ran += 1
-            self.judge(event["cpu"])
+            self.compare(event["cpu"])
             self.test = ""
 
-    def judge(self, cpu: float) -> None:
+    def compare(self, cpu: float) -> None:
         """Say that a test takes too long, if it does."""
         if self.test and not self.compiling:
             taken = cpu - self.began - self.compiled
@@ -184,7 +184,7 @@ def try_mutant(slot: Slot, mutant: dict[str, Any], baseline: Baseline, limit_s: 
         status = os.waitstatus_to_exitcode(code) if ended else None
         watch.read()
         taken = max(taken, spent(child))
-        watch.judge(taken)
+        watch.compare(taken)
         late = taken > LIMIT_S or taken - watch.compiled_in_all > limit_s or time.monotonic() - start > PATIENCE_S
         if status is None and (watch.killer or late):
             os.killpg(child, signal.SIGKILL)

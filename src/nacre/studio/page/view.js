@@ -446,7 +446,7 @@ export class View {
     if (this.trials === 0 && performance.now() - began > SLOW_MS) this.most = FEWEST;
     requestAnimationFrame(() => {
       this.resize();
-      this.canvas.dataset.judged = String(this.trials === 0);
+      this.canvas.dataset.measured = String(this.trials === 0);
     });
   }
 

@@ -1,4 +1,4 @@
-"""The judge of bench_design_films: colours of stacks by `tmm` and colour-science, never by nacre's own optics.
+"""The reference of bench_design_films: colours of stacks by `tmm` and colour-science, never by nacre's own optics.
 
 A process of its own that serves requests (`common.serve`). Of nacre it takes only the optical constants, by name.
 """
@@ -21,7 +21,7 @@ LOW_NM, HIGH_NM = 380, 780
 
 @functools.cache
 def indices(name: str, step_nm: int) -> np.ndarray:
-    """A material's n + ik in steps over the judged range of 380-780 nm."""
+    """A material's n + ik in steps over the evaluated range of 380-780 nm."""
     return index(name).n_complex(np.arange(LOW_NM, HIGH_NM + 1.0, step_nm))
 
 

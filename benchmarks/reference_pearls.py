@@ -1,6 +1,6 @@
-"""The judge of bench_design_pearls: colours of recipes at the trade's angles by the reference walk, in a fresh process.
+"""The reference of bench_design_pearls: colours of recipes at the trade's angles by random walks, in a fresh process.
 
-It serves requests (`common.serve`) and knows nothing of the search: a recipe comes as a file, is walked by the plugin
+It serves requests (`common.serve`) and knows nothing of the search: a recipe comes as a file, is traced by the plugin
 with another seed and 16 times the samples, and again until the standard error of every colour is below 0.1 dE00.
 """
 
@@ -36,7 +36,7 @@ def colours(recipe: str, seed: int) -> dict[str, list]:
     turn = 0
     while turn < MOST_ROUNDS * QUARTERS and np.any(error > QUIET_DE00):
         noisy = np.flatnonzero(error > QUIET_DE00)  # dark angles take more walks than bright ones
-        for _ in range(QUARTERS):  # so that there is a spread to tell the error from
+        for _ in range(QUARTERS):  # so that their spread gives the error
             f, _ = evaluate_with_error(bsdf, wi[noisy], wo[noisy], samples=samples, seed=seed + turn)
             turn += 1
             for angle, spectrum in zip(noisy, f):
