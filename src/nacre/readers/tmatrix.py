@@ -225,7 +225,9 @@ def check_centre(file: h5py.File) -> None:
         if np.any(values != 0.0):
             unit = shown(attribute(places.attrs, "unit"))
             centre = f"({', '.join(f'{v:.4g}' for v in values[0])}) {unit}".strip()
-            raise TMatrixFileError(f"expands its waves about {centre}; expand them about the particle's centre, (0, 0, 0)")
+            raise TMatrixFileError(
+                f"expands its waves about {centre}; expand them about the particle's centre, (0, 0, 0)"
+            )
 
 
 def material_epsilon(file: h5py.File, count: int) -> ComplexArray | None:
