@@ -81,6 +81,11 @@ def test_a_colour_is_a_uniform_view_about_its_directions():
     assert np.allclose(view.target, (0.02 / np.pi) ** (1 / 2.2), rtol=1e-3)
 
 
+def test_another_angle_of_a_colour_is_another_task():
+    first, same, other = (_read(_target({**COLOUR, "geometry": at})) for at in ("30as15", "30as15", "30as25"))
+    assert first.fingerprint == same.fingerprint != other.fingerprint
+
+
 def test_targets_with_heights_or_pictures_are_relief_tasks():
     assert is_relief_task(_target(COLOUR)) and is_relief_task({"target": [{"directions": PICTURE}]})
     assert not is_relief_task({"recipe": RELIEF, "parameters": {"blur_um": [0.1, 0.2]}, "target": [COLOUR]})

@@ -297,7 +297,16 @@ def test_default_spectrum_gives_a_white_mirror_its_white() -> None:
 def test_a_truncated_checkpoint_gives_one_line(tmp_path: Path) -> None:
     run(write(tmp_path, starts="1", perturbed_restarts="0"), tmp_path / "out")
     checkpoint = tmp_path / "out" / STATE
-    checkpoint.write_bytes(checkpoint.read_bytes()[:200])
-    with pytest.raises(NacreError) as caught:
-        run(write(tmp_path, starts="1", perturbed_restarts="0"), tmp_path / "out", resume=True)
-    assert str(checkpoint) in str(caught.value) and "\n" not in str(caught.value)
+    whole = checkpoint.read_text()
+    state = json.loads(whole)
+    progress, first = state["progress"], state["solutions"][0]
+    damaged = [
+        {**state, "runs": -5}, {**state, "runs": float("inf")}, {**state, "progress": {**progress, "stage": "a"}},
+        {**state, "progress": {**progress, "stage": 99}}, {**state, "progress": {**progress, "evaluations": None}},
+        {**state, "solutions": [{**first, "stage": "z"}]}, {**state, "solutions": [{**first, "value": float("nan")}]},
+    ]  # fmt: skip
+    for text in [whole[:200], *map(json.dumps, damaged)]:
+        checkpoint.write_text(text)
+        with pytest.raises(NacreError) as caught:
+            run(write(tmp_path, starts="1", perturbed_restarts="0"), tmp_path / "out", resume=True)
+        assert str(checkpoint) in str(caught.value) and "\n" not in str(caught.value)

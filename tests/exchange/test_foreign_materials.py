@@ -70,7 +70,8 @@ def test_everything_else_of_a_gltf_material_is_named(tmp_path: Path) -> None:
     [
         ({"iridescenceFactor": 1.5}, {}), ({"iridescenceFactor": -0.1}, {}),
         ({"iridescenceFactor": 1, "iridescenceThicknessMaximum": -5}, {}),
-        ({"iridescenceFactor": 1}, {"metallicFactor": 2}),
+        ({"iridescenceFactor": 1}, {"metallicFactor": 2}), ({"iridescenceFactor": 1}, {"roughnessFactor": -1}),
+        ({"iridescenceFactor": 1}, {"baseColorFactor": [2, 2, 2, 1]}),
     ],
 )  # fmt: skip
 def test_shares_and_lengths_outside_their_range_are_refused(
@@ -78,6 +79,19 @@ def test_shares_and_lengths_outside_their_range_are_refused(
 ) -> None:
     with pytest.raises(NacreError):
         read_gltf(gltf(tmp_path / "x.gltf", {"film": film, "base": base}))
+
+
+def test_an_index_of_the_body_below_one_is_refused(tmp_path: Path) -> None:
+    entry = {"film": {"iridescenceFactor": 1}, "extensions": {"KHR_materials_ior": {"ior": 0.5}}}
+    with pytest.raises(NacreError):
+        read_gltf(gltf(tmp_path / "x.gltf", entry))
+
+
+@pytest.mark.parametrize(("albedo", "is_lost"), [(0.0, False), (0.5, True), (1.0, True)])
+def test_light_scattered_below_an_opaque_film_is_named_as_lost(albedo: float, is_lost: bool, tmp_path: Path) -> None:
+    base = {"baseColorFactor": [albedo] * 3 + [1], "metallicFactor": 0}
+    found = read_gltf(gltf(tmp_path / "x.gltf", {"film": {"iridescenceFactor": 1}, "base": base}))
+    assert any(key.startswith("baseColorFactor") for key in found.not_read) == is_lost
 
 
 SHADER = (

@@ -81,6 +81,9 @@ def test_thousandths_of_an_absorbance(heading: str, tmp_path: Path) -> None:
     [
         ("Polarizer angle: 90 deg", "polarisation", "s"), ("Polarisatorwinkel = 0°", "polarisation", "p"),
         ("AOI = 785.398 mrad", "angle_of_incidence_deg", 45.0), ("Polarizer angle: 30", "polarisation", None),
+        ("Einfallswinkel: 60 Grad", "angle_of_incidence_deg", 60.0), ("Polarisator: 90 Grad", "polarisation", "s"),
+        ("Polarizer angle (deg): 90", "polarisation", "s"), ("Polarizer: p", "polarisation", "p"),
+        ("Polarizer angle: 90", "polarisation", None),
     ],
 )  # fmt: skip
 def test_a_polariser_and_small_units_above_a_table(line: str, key: str, value: object, tmp_path: Path) -> None:

@@ -509,6 +509,18 @@ def test_edges_stay_sharp_above_the_crease_only_without_normals(tmp_path: Path) 
         assert len(np.unique(np.round(read_mesh(tmp_path / "fold.obj", "z").normals, 6), axis=0)) == 2
 
 
+def test_the_border_of_two_materials_has_one_normal_without_normals_in_the_file(tmp_path: Path) -> None:
+    (tmp_path / "m.mtl").write_text("newmtl a\nKd 1 0 0\nnewmtl b\nKd 0 1 0\n")
+    x, z = np.cos(np.radians(30.0)), np.sin(np.radians(30.0))
+    lines = [f"v {a} {b} {c}" for b in (0, 1) for a, c in ((-1.0, 0.0), (0.0, 0.0), (x, z))]
+    lines = ["mtllib m.mtl", *lines, "usemtl a", "f 1 2 5 4", "usemtl b", "f 2 3 6 5"]
+    (tmp_path / "fold.obj").write_text("\n".join(lines) + "\n")
+    surface = read_mesh(tmp_path / "fold.obj", "z")
+    at_border = surface.normals[np.abs(surface.vertices[:, 0]) < 1e-9]
+    mean = [-np.sin(np.radians(15.0)), 0.0, np.cos(np.radians(15.0))]
+    assert len(at_border) >= 4 and np.abs(at_border - mean).max() < 1e-9
+
+
 def test_obj_files_of_several_materials_keep_their_normals(tmp_path: Path) -> None:
     (tmp_path / "m.mtl").write_text("newmtl a\nKd 1 0 0\nnewmtl b\nKd 0 1 0\n")
     lines = ["mtllib m.mtl", *(f"v {x} {y} 0" for y in (0, 1) for x in (0, 1, 2))]

@@ -68,6 +68,17 @@ def test_of_two_processes_one_compiles_a_kernel(tmp_path: Path) -> None:
     assert sorted(process.communicate(timeout=300)[0].strip() for process in both) == ["0", "1"]
 
 
+def test_kernels_run_as_python_without_compilation(tmp_path: Path) -> None:
+    (tmp_path / "kernel.py").write_text(
+        "from nacre.core.jit import compiled\n\n@compiled()\ndef inner(x):\n    return 2 * x\n\n"
+        "@compiled()\ndef outer(x):\n    return inner(x) + 1\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{SOURCE.parent}", "NUMBA_DISABLE_JIT": "1"}
+    code = [sys.executable, "-c", "from kernel import outer; print(outer(3))"]
+    done = subprocess.run(code, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "7", done.stderr
+
+
 def test_numba_is_imported_by_the_first_call_of_a_kernel_and_not_before() -> None:
     code = (
         "import sys, nacre; from nacre.bsdf.glints import mix; from nacre.bsdf.lobes.platelet_layer import sparkle\n"

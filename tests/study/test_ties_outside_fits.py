@@ -12,6 +12,7 @@ import nacre
 from nacre.analysis.diagnose import SpectrumObservation
 from nacre.analysis.tolerance import recipe_tolerances, run_tolerance
 from nacre.cli import common, run
+from nacre.core.errors import NacreError, RecipeError
 from nacre.recipe.toml import dump_toml
 
 FIRST, LAST = "layers[0].thickness_nm", "layers[2].thickness_nm"
@@ -51,6 +52,25 @@ def test_set_moves_tied_numbers_along(tmp_path: Path, capsys: pytest.CaptureFixt
     assert common.load_material(str(path), (f"{FIRST}=120",)).get(LAST) == 110.0
     assert common.load_material(str(path), (f"{FIRST}=120", f"{LAST}=70")).get(LAST) == 70
     assert common.load_material(str(path)).get(LAST) == 90
+    alone = common.load_material(str(path), (f"{LAST}=20",))
+    found = run_tolerance(alone, recipe_tolerances(alone), draws=2, geometries=("specular 0",))
+    free = nacre.material({key: value for key, value in FILM.items() if key != "ties"}).vary({LAST: 20})
+    expected = run_tolerance(free, recipe_tolerances(free), draws=2, geometries=("specular 0",))
+    np.testing.assert_allclose(found.lab, expected.lab, atol=1e-9)
     assert run(["tolerance", str(path), "--tolerance", f"{LAST}=2", "--draws", "2"]) == 2
     message = capsys.readouterr().err.strip()
     assert f"ties.{LAST}" in message and "\n" not in message
+
+
+def test_a_tie_without_a_real_value_is_refused() -> None:
+    film = nacre.material({**FILM, "ties": {LAST: f"(50 - {FIRST}) ** 0.5"}})
+    with pytest.raises(RecipeError, match=r"ties\."):
+        run_tolerance(film, recipe_tolerances(film), draws=2)
+
+
+def test_tolerances_may_be_an_iterator_but_not_of_two_sorts() -> None:
+    film = nacre.material(FILM)
+    found = nacre.tolerance(film, iter(["layers[1].thickness_nm=2"]), draws=2, geometries=("specular 0",))
+    assert {path for path, *_ in found.sensitivities} == {FIRST, "layers[1].thickness_nm"}
+    with pytest.raises(NacreError):
+        run_tolerance(film, [*recipe_tolerances(film), "layers[1].thickness_nm=2"], draws=2)

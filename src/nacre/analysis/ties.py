@@ -34,15 +34,15 @@ class Ties:
         """Return the values of the free and tied paths.
 
         Raises:
-            NacreError: a division by zero.
+            NacreError: a number is not finite, or not real.
         """
         known = {**self.fixed, **free}
         found = dict(free)
         for path, expression in self.expressions.items():
             try:
                 known[path] = found[path] = _evaluate(expression, known)
-            except (ZeroDivisionError, OverflowError):
-                raise NacreError(f"ties.{path} = {ast.unparse(expression)} is not finite") from None
+            except (ZeroDivisionError, OverflowError, TypeError):  # the last of a complex power
+                raise NacreError(f"ties.{path} = {ast.unparse(expression)} is not a finite real number") from None
         return found
 
 
@@ -84,17 +84,18 @@ def read_ties(material: Material, free: Iterable[str], options: tuple[str, ...] 
 
 
 def with_ties(material: Material, changed: Iterable[str] = ()) -> Material:
-    """Return a material whose tied numbers are computed; ties of `changed` numbers are left out.
+    """Return a material whose tied numbers are computed; ties of `changed` numbers are removed.
 
     Raises:
         RecipeError: see `read_ties`.
     """
-    changed = set(changed)
-    table = {path: text for path, text in _table(material).items() if path not in changed}
+    table, changed = _table(material), set(changed)
+    if changed & set(table):
+        table = {path: text for path, text in table.items() if path not in changed}
+        material = replace(material, data={**material.data, "ties": table})
     if not table:
         return material
-    bare = replace(material, data={**material.data, "ties": table})
-    found = {path: v for path, v in read_ties(bare, ()).values({}).items() if not path.startswith(INSTRUMENT)}
+    found = {path: v for path, v in read_ties(material, ()).values({}).items() if not path.startswith(INSTRUMENT)}
     return material.vary(found) if found else material
 
 

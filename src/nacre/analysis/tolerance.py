@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -110,7 +110,7 @@ def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tupl
 
 def run_tolerance(
     thing: MaterialLike,
-    tolerances: Sequence[Tolerance | str] = (),
+    tolerances: Iterable[Tolerance | str] = (),
     *,
     draws: int = 500,
     limit: float = 1.0,
@@ -145,8 +145,11 @@ def run_tolerance(
         NacreError: there is no tolerance, the nominal material cannot be computed, or a number leaves its range.
     """
     material = as_material(thing)
-    known = tuple(each for each in tolerances if isinstance(each, Tolerance))
-    spreads = known or recipe_tolerances(material, tuple(map(str, tolerances)))
+    stated = tuple(tolerances)
+    spreads = tuple(each for each in stated if isinstance(each, Tolerance))
+    if spreads and len(spreads) < len(stated):
+        raise NacreError("tolerances: give texts, or the result of recipe_tolerances; both together are not allowed")
+    spreads = spreads or recipe_tolerances(material, tuple(map(str, stated)))
     if not 1 <= draws <= MAX_DRAWS:
         raise NacreError(f"--draws = {draws} must lie in [1, {MAX_DRAWS}]")
     if not 0 < limit < np.inf:

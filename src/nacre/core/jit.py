@@ -146,7 +146,8 @@ def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
 
     _register_listener()
     try:
-        return _compiled_by_one(numba.njit(cache=True, **options)(function))
+        made = numba.njit(cache=True, **options)(function)
+        return function if made is function else _compiled_by_one(made)  # the same with NUMBA_DISABLE_JIT
     except RuntimeError as error:
         if "cannot cache" not in str(error):
             raise

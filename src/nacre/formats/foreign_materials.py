@@ -227,7 +227,7 @@ def check_shares(path: Path, **shares: float) -> None:
         NacreError: names the first that does not.
     """
     for key, value in shares.items():
-        if not 0.0 <= value <= 1.0:
+        if not -1e-6 <= value <= 1.0 + 1e-6:
             raise NacreError(f"{path}: {key} = {value:g} is not allowed; it is a share from 0 to 1")
 
 
@@ -237,7 +237,11 @@ def _gltf_film(material: Mapping[str, Any], remarks: list[str], path: Path, docu
     colour = [float(c) for c in base.get("baseColorFactor", [1, 1, 1, 1])]
     metal, clear = float(base.get("metallicFactor", 1.0)), extensions.get("KHR_materials_transmission", {})
     share, weight = float(clear.get("transmissionFactor", 0.0)), _number(film, "iridescenceFactor", 0.0)
-    check_shares(path, metallicFactor=metal, transmissionFactor=share, iridescenceFactor=weight)
+    rough = float(base.get("roughnessFactor", 1.0))
+    check_shares(
+        path, metallicFactor=metal, transmissionFactor=share, iridescenceFactor=weight, roughnessFactor=rough,
+        **{f"baseColorFactor[{place}]": each for place, each in enumerate(colour)},
+    )  # fmt: skip
     thinnest, thickest = (
         _number(film, f"iridescenceThickness{end}", default)
         for end, default in (("Minimum", 100.0), ("Maximum", 400.0))
@@ -245,9 +249,10 @@ def _gltf_film(material: Mapping[str, Any], remarks: list[str], path: Path, docu
     thickness, varied = thickest, None
     if min(thinnest, thickest) < 0:
         raise NacreError(f"{path}: the iridescence thickness of {min(thinnest, thickest):g} nm is negative")
-    film_ior = _number(film, "iridescenceIor", 1.3)
-    if not film_ior >= 1.0:
-        raise NacreError(f"{path}: iridescenceIor = {film_ior:g} is not allowed; glTF has indices from 1")
+    film_ior, ior = _number(film, "iridescenceIor", 1.3), float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5))
+    for key, index in (("iridescenceIor", film_ior), ("ior", ior)):
+        if not index >= 1.0 and (key, index) != ("ior", 0.0):
+            raise NacreError(f"{path}: {key} = {index:g} is not allowed; glTF has indices from 1")
     remarks = [*remarks, *rounded(metal, share, weight)]
     not_read = [key for part in (base, film, clear, material) for key in part if key.endswith("Texture")]
     if THICKNESS_TEXTURE in film:
@@ -259,7 +264,7 @@ def _gltf_film(material: Mapping[str, Any], remarks: list[str], path: Path, docu
         else:
             not_read.remove(THICKNESS_TEXTURE)
             varied = ThicknessMap(thinnest, thickest, image)
-    if metal < 0.5 and colour[:3] != [1.0, 1.0, 1.0]:
+    if metal < 0.5 and colour[:3] != [float(share > 0)] * 3:
         not_read.append("baseColorFactor (light scattered or tinted below a dielectric surface)")
     if len(colour) > 3 and colour[3] < 1.0 or material.get("alphaMode", "OPAQUE") != "OPAQUE":
         not_read.append("alpha")
@@ -267,9 +272,8 @@ def _gltf_film(material: Mapping[str, Any], remarks: list[str], path: Path, docu
         not_read.append("emissiveFactor")
     not_read += [key for key in extensions if key not in GLTF_READ]
     return ThinFilm(
-        thickness, film_ior, (colour[0], colour[1], colour[2]),
-        float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5)), metal >= 0.5,
-        float(base.get("roughnessFactor", 1.0)) ** 2, share > 0, tuple(not_read), weight, tuple(remarks), varied,
+        thickness, film_ior, (colour[0], colour[1], colour[2]), ior, metal >= 0.5, rough**2, share > 0,
+        tuple(not_read), weight, tuple(remarks), varied,
     )  # fmt: skip
 
 

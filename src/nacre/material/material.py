@@ -379,8 +379,6 @@ class Material:
         return [str(name) for name in data["names"]], [float(d) for d in np.atleast_1d(data["thicknesses_nm"])]
 
     def _repr_html_(self) -> str:
-        pass  # renders a picture
-
         return material_html(self)
 
 

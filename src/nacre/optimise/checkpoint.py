@@ -71,8 +71,9 @@ class Checkpointer:
             state = json.loads(read_text(path, "state"))
             solutions, runs, owner = state["solutions"], int(state["runs"]), state["target"]
             progress = state.get("progress", {})
-            is_valid = isinstance(solutions, list) and all(isinstance(one, dict) for one in [*solutions, progress])
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            is_list = runs >= 1 and isinstance(solutions, list)
+            is_valid = is_list and all(isinstance(one, dict) for one in [*solutions, progress])
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             is_valid = False
         if not is_valid:
             raise unreadable(folder)

@@ -11,7 +11,7 @@ from nacre.readers.measurement import Measurement
 from nacre.readers.units import normal
 
 _KEY_VALUE = re.compile(r"[\s#%!;*/']*([^:=\t;,]{1,40}?)\s*[:=\t;,]+\s*(\S.*?)[\s;,]*")
-_VALUE = re.compile(r"([-+]?\d+(?:[.,]\d+)?)\s*(°|º|deg\w*\.?|grad|rad\w*|mrad)?")
+_VALUE = re.compile(r"([-+]?\d+(?:[.,]\d+)?)\s*(°|º|deg\w*\.?|grad|rad\w*|mrad)?", re.IGNORECASE)
 _DEGREES = r"(\d+(?:[.,]\d+)?)\s*(?:°|º|deg(?:rees?)?\b)(?!\s*[CF]\b)"
 _AT_ANGLE = re.compile(
     rf"(?:\bat|\baoi|incidence|incident|incidence angle|einfallswinkel)\s*(?:of|angle|=|:)?\s*{_DEGREES}"
@@ -75,7 +75,7 @@ def _angles(text: str) -> list[float]:
     if match:
         value, stated = _VALUE.fullmatch(match[2]), {each.quantity: each.unit for each in meanings(match[1])}
         if value and "angle_of_incidence" in stated:
-            angle, unit = float(value[1].replace(",", ".")), value[2] or stated["angle_of_incidence"] or "deg"
+            angle, unit = float(value[1].replace(",", ".")), (value[2] or stated["angle_of_incidence"] or "deg").lower()
             if unit.startswith(("rad", "mrad")):
                 angle = float(np.degrees(angle)) * (1e-3 if unit == "mrad" else 1.0)
             return [angle]
@@ -88,11 +88,11 @@ def _angles(text: str) -> list[float]:
 
 def _polarisations(text: str) -> list[str]:
     match = _KEY_VALUE.fullmatch(text)
-    keys = {each.quantity for each in meanings(match[1])} if match else set()
-    if match and "polariser" in keys and (turn := _VALUE.fullmatch(match[2])):
-        angle = float(turn[1].replace(",", ".")) % 180.0
-        return [POLARISERS[angle]] if angle in POLARISERS and (turn[2] or "").startswith(("deg", "°", "º")) else []
-    if match and "polarisation" in keys:
+    stated = {each.quantity: each.unit for each in meanings(match[1])} if match else {}
+    if match and "polariser" in stated and (turn := _VALUE.fullmatch(match[2])):
+        angle, unit = float(turn[1].replace(",", ".")) % 180.0, (turn[2] or stated["polariser"] or "").lower()
+        return [POLARISERS[angle]] if angle in POLARISERS and unit.startswith(("deg", "°", "º", "grad")) else []
+    if match and ("polarisation" in stated or "polariser" in stated):
         word = polarisation_word(match[2])
         return [word] if word else []
     found = (polarisation_word("unpolarised" if each[1] == "un" else each[1]) for each in _POLARISED.finditer(text))

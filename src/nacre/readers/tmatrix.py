@@ -192,7 +192,7 @@ def modes_of(file: h5py.File, side: str) -> tuple[NDArray[np.int64], NDArray[np.
         found.append(np.asarray(values[()]))
     l, m = (np.asarray(v, dtype=float).ravel() for v in found[:2])
     if np.any(l != np.round(l)) or np.any(m != np.round(m)) or np.any(l < 1) or np.any(np.abs(m) > l):
-        raise TMatrixFileError("names modes that are none: it should be l >= 1 and |m| <= l, whole")
+        raise TMatrixFileError("names modes that do not exist; allowed: whole numbers l >= 1 and |m| <= l")
     words = [text_of(w).strip().lower() for w in _rows_of_text(found[2], len(l))]
     return l.astype(np.int64), m.astype(np.int64), words
 
@@ -224,10 +224,9 @@ def check_centre(file: h5py.File) -> None:
             raise TMatrixFileError("is about several centres; one particle has one")
         if np.any(values != 0.0):
             unit = shown(attribute(places.attrs, "unit"))
-            where = ", ".join(f"{v:.4g}" for v in values[0])
+            centre = f"({', '.join(f'{v:.4g}' for v in values[0])}) {unit}".strip()
             raise TMatrixFileError(
-                f"has its waves about ({where}) {unit}, and not about the middle of the particle; write it about the "
-                "origin"
+                f"expands its waves about {centre}; expand them about the particle's centre, (0, 0, 0)"
             )
 
 

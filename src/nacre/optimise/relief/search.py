@@ -167,14 +167,20 @@ class ReliefSearch(Search):
         if not checkpointer.progress:
             return
         try:
-            stage, evaluations = (checkpointer.progress[key] for key in ("stage", "evaluations"))
+            stage, evaluations = (int(checkpointer.progress[key]) for key in ("stage", "evaluations"))
             candidates = [
-                Candidate(np.frombuffer(base64.b64decode(c["x"])).copy(), float(c["value"]), c["stage"], c["done"])
+                Candidate(
+                    np.frombuffer(base64.b64decode(c["x"])).copy(), float(c["value"]), int(c["stage"]), int(c["done"])
+                )
                 for c in checkpointer.solutions
             ]
-            if not candidates or any(one.x.shape != (self.problem.features**2,) for one in candidates):
+            counts = np.array([[stage, evaluations], *([c.stage, c.done] for c in candidates)])
+            if not candidates or counts.min() < 0 or counts[:, 0].max() > len(self.plan):
                 raise ValueError
-        except (KeyError, TypeError, ValueError):
+            for one in candidates:
+                if one.x.shape != (self.problem.features**2,) or not np.isfinite(one.x).all() or np.isnan(one.value):
+                    raise ValueError
+        except (KeyError, TypeError, ValueError, OverflowError):
             raise unreadable(checkpointer.folder) from None
         self.stage, self.earlier_evaluations, self.candidates = stage, evaluations, candidates
 

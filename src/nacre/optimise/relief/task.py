@@ -80,7 +80,10 @@ class ReliefTask:
     @property
     def fingerprint(self) -> str:
         """Hash of everything that defines the task, without the time limit."""
-        target = hashlib.sha256(np.ascontiguousarray(self.problem.target).tobytes()).hexdigest()
+        views = [self.problem.target]  # and their directions, which a colour states
+        for view in self.problem.views:
+            views += [view.geometry.psi_x, view.geometry.psi_y, view.geometry.wi]
+        target = hashlib.sha256(b"".join(np.ascontiguousarray(each).tobytes() for each in views)).hexdigest()
         return fingerprint(self.spec.model_dump(exclude={"search": {"seconds"}}), self.context.files, target=target)
 
     @property

@@ -21,6 +21,7 @@ from nacre.picture.shapes.mesh import face_normals
 CREASE_DEG = 45.0  # edges with a larger angle between their faces stay sharp
 GRAIN = 1e-6  # positions closer than this share of the extent are one
 MAX_PAIRS = 30_000_000  # pairs of faces at a common corner; beyond, all edges are smooth
+PAIRS_A_FACE = 36  # larger meshes are smoothed part by part; a usual mesh has 18
 
 
 def creased(
@@ -156,11 +157,32 @@ def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
     else:
         read = trimesh.load(str(path), process=False)
     crease_deg = 0.0 if suffix == ".obj" and _is_flat(path) else CREASE_DEG
-    return [
-        _triangles(part, transform, uv_white, crease_deg)
+    parts = [
+        _triangles(part, transform, uv_white)
         for part, transform in _placed(read)
         if isinstance(part, trimesh.Trimesh) and len(part.faces)
     ]
+    bare = [number for number, part in enumerate(parts) if not len(part.normals)]
+    is_small = PAIRS_A_FACE * sum(len(parts[number].faces) for number in bare) <= MAX_PAIRS
+    for group in [bare] if is_small and bare else [[number] for number in bare]:
+        for number, part in zip(group, _with_normals([parts[number] for number in group], crease_deg), strict=True):
+            parts[number] = part
+    return parts
+
+
+def _with_normals(parts: list[Triangles], crease_deg: float) -> list[Triangles]:
+    """Return parts with the normals of their common surface: the border of two materials stays smooth."""
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts)])
+    of, normals, faces = creased(np.concatenate([part.vertices for part in parts]), faces, crease_deg)
+    ends = np.cumsum([len(part.faces) for part in parts])[:-1]
+    found = []
+    for part, start, own in zip(parts, starts, np.split(faces, ends)):
+        used, inverse = np.unique(own, return_inverse=True)
+        old = of[used] - start
+        uv = None if part.uv is None else part.uv[old]
+        found.append(Triangles(part.vertices[old], normals[used], uv, inverse.reshape(-1, 3), part.material))
+    return found
 
 
 def _placed(read: Any) -> list[tuple[Any, NDArray[np.float64]]]:
@@ -183,7 +205,8 @@ def _is_flat(path: Path) -> bool:
     return bool(groups) and all(group in (b"0", b"off") for group in groups)
 
 
-def _triangles(part: Any, transform: NDArray[np.float64], uv_white: float, crease_deg: float = CREASE_DEG) -> Triangles:
+def _triangles(part: Any, transform: NDArray[np.float64], uv_white: float) -> Triangles:
+    """Return a part; without normals in the file `[0, 3]` of them."""
     vertices = np.asarray(part.vertices, dtype=np.float64) @ transform[:3, :3].T + transform[:3, 3]
     faces = np.asarray(part.faces, dtype=np.int64)
     if faces.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices):
@@ -201,8 +224,7 @@ def _triangles(part: Any, transform: NDArray[np.float64], uv_white: float, creas
     if "vertex_normals" in part._cache.cache:  # from the file; `trimesh` computes others on demand
         normals = np.asarray(part.vertex_normals, dtype=np.float64) @ np.linalg.inv(transform[:3, :3])
         return Triangles(vertices, normals, uv, faces, material)
-    of, normals, faces = creased(vertices, faces, crease_deg)
-    return Triangles(vertices[of], normals, None if uv is None else uv[of], faces, material)
+    return Triangles(vertices, np.zeros((0, 3)), uv, faces, material)
 
 
 def with_materials(content: bytes, suffix: str) -> bytes:
