@@ -12,6 +12,7 @@ import nacre
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.core.arrays import direction
 from nacre.families.pearl import doubling, surrogate
+from nacre.families.pearl.flake_normals import FlakeNormals
 from nacre.families.pearl.random_walk import Medium
 from nacre.measure.geometry import ASPECULAR_DEG, aspecular_direction
 
@@ -46,6 +47,16 @@ def test_it_is_what_the_walk_finds_for_thin_and_dense_paints(roughness: float, a
     if sum(amounts) > 0.05:
         coarse = model.surrogate_radiance(WI, WO, NM)[1]
         assert np.max(np.abs(known + coarse - found) / allowed) > 3.0
+
+
+def test_flakes_too_parallel_for_the_nodes_have_finite_light_of_unknown_error() -> None:
+    model = pearl(0.1, 0.6, 0.066)
+    flat = replace(model.strata[0].flakes[0], normals=FlakeNormals(np.full(2, 0.02)))
+    model = replace(model, strata=(replace(model.strata[0], flakes=(flat,)),))
+    known, guess = model.surrogate_radiance(WI, WO, NM, True)
+    found, _ = model.estimate_radiance(WI, WO, NM, 1 << 13, 3)
+    assert model.surrogate_error is None
+    assert np.all(np.abs(known + guess - found) < 0.5 * found)
 
 
 def test_without_flakes_the_ground_shines_through_as_saunderson_says() -> None:

@@ -179,6 +179,9 @@ def test_the_panel_of_angles_states_why_it_has_no_numbers(client: TestClient) ->
     bare = PEARL.replace(", diameter_um = 25", "")
     found = client.post("/api/angles", json={"recipe": {"text": bare, "name": "pearl.toml"}}).json()
     assert len(found["colours"]) == 11 and "diameter_um" in found["texture"]["reason"]
+    over = PEARL + '[base]\nmaterial = "Ti"\n'
+    found = client.post("/api/angles", json={"recipe": {"text": over, "name": "pearl.toml"}}).json()
+    assert found["colours"] == [] and found["texture"]["reason"]  # the light of the base is not known without walks
     film = client.post("/api/angles", json={"recipe": {"text": FILM, "name": "film.toml"}}).json()
     assert film["colours"] == [] and film["texture"]["reason"]
     for recipe in ({"text": "family = 1", "name": "film.toml"}, {"text": FILM, "name": "../secret.toml"}, None):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -166,7 +167,8 @@ class _Screen:
     def show(self, progress: Any) -> None:
         """Show the search's progress."""
         if self._status:
-            self._status.update(f"{progress.description}, {progress.seconds:.0f} s, {progress.seconds_left:.0f} s left")
+            left = f", {progress.seconds_left:.0f} s left" if math.isfinite(progress.seconds_left) else ""
+            self._status.update(f"{progress.description}, {progress.seconds:.0f} s{left}")
 
 
 @click.command()

@@ -9,6 +9,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
+from nacre.families.contract import Surrogate
 from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material
 from nacre.measure.colours import geometry_colours, recipe_geometries
@@ -25,6 +26,7 @@ from nacre.measure.texture import (
 from nacre.optimise.evaluation import lab_hex
 from nacre.optimise.measurement import missing_geometries, search_wavelengths, surrogate_factors
 from nacre.studio.folder import built
+from nacre.studio.incidence import mixes_polarisations
 
 OBSERVER = "10deg"
 ACROSS = ("45as25az90", "45as25az-90", "45as60az125.3", "45as60az-125.3")  # out of the plane of incidence
@@ -60,15 +62,17 @@ def angle_tables(recipe: Mapping[str, str], lamp: str, is_fine: bool) -> dict[st
 
 
 def _colours(material: Material, geometries: list[Geometry], lamp: str) -> Array:
-    grid = search_wavelengths(material, [lamp])
-    found = None if material.model.traits.is_quick else surrogate_factors(material, geometries, grid)
-    if found is not None:
+    grid, model = search_wavelengths(material, [lamp]), material.model
+    is_quick = model.traits.is_quick and not mixes_polarisations(material)  # whose tables over angle take seconds
+    found = None if is_quick else surrogate_factors(material, geometries, grid)
+    is_known = isinstance(model, Surrogate) and model.surrogate_error is not None
+    if found is not None and (is_known or not np.any(found[1])):  # exact, or with a small error
         xyz = spectrum_to_xyz(found[0] + found[1], grid, lamp, OBSERVER)
         return np.asarray(xyz_to_lab(xyz, white_xyz(lamp, OBSERVER)))
-    if not material.model.traits.is_quick:
-        raise UnsupportedError(f"This {material.model.traits.noun} {SLOW}.")
+    if not is_quick:
+        raise UnsupportedError(f"This {model.traits.noun} {SLOW}.")
     if len(missing_geometries(material, geometries)) == len(set(geometries)):
-        raise UnsupportedError(f"This {material.model.traits.noun} {MIRROR}.")
+        raise UnsupportedError(f"This {model.traits.noun} {MIRROR}.")
     return geometry_colours(material, geometries, lamp, OBSERVER)
 
 

@@ -184,10 +184,6 @@ def _listen() -> None:
     os._exit(3)  # stdin closed: the server ended or cancelled the job
 
 
-if __name__ == "__main__":
-    sys.exit(main())
-
-
 # A worker thread that answers only the newest request.
 
 REST_S = 0.25  # pause after a draft, in which a newer request may arrive
@@ -288,3 +284,7 @@ class LatestOnlyWorker(Generic[Request]):
                 with self._changed:
                     if self._changed.wait_for(is_superseded, REST_S):
                         raise SupersededError
+
+
+if __name__ == "__main__":
+    sys.exit(main())

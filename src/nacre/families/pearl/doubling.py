@@ -26,6 +26,7 @@ from nacre.families.pearl.random_walk import Medium
 NODES, AZIMUTHS, TERMS = 22, 18, 12
 DOUBLINGS = 10  # layers with 1/70 flake at 14 flakes depth; 7 had 3 % error, and each costs 2 ms
 RELATIVE_ERROR = 0.03  # against random walks: 1 % under a smooth interface, 3 % at alpha = 0.1
+NARROWEST = 0.03  # normal deviation; narrower lobes fall between the nodes, and the sum diverges
 MIN_ROUGHNESS = 0.04  # GGX alpha; smoother interfaces reflect into less than the node spacing
 SMALL = 1e-6
 CACHED_KINDS = 24  # 1 MB each

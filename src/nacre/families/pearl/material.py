@@ -18,7 +18,7 @@ from nacre.bsdf.substrate import Substrate
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError
 from nacre.families.contract import EnergyDefect, Figure, Model, ResolvedFlakes, Strata, Surrogate, Traits
-from nacre.families.pearl.doubling import RELATIVE_ERROR
+from nacre.families.pearl.doubling import NARROWEST, RELATIVE_ERROR
 from nacre.families.pearl.flake_normals import (
     COS_NODES,
     MAX_COS_NODES,
@@ -241,7 +241,8 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
     @property
     def surrogate_error(self) -> float | None:
         """Error in `doubling` by rough interfaces and angular steps."""
-        return RELATIVE_ERROR if self._is_estimated else None
+        is_known = self._is_estimated and all(kind.normals.deviation[0] >= NARROWEST for kind in self.strata[0].kinds)
+        return RELATIVE_ERROR if is_known else None
 
     def estimate_radiance(
         self, wi: Array, wo: Array, wavelengths_nm: Array, walks: int, seed: int

@@ -23,7 +23,7 @@ from nacre.bsdf.facet_distributions import fresnel
 from nacre.bsdf.lobes.platelet_layer import flake_lobe, surface_values
 from nacre.core.arrays import Array
 from nacre.core.parallel import in_threads
-from nacre.families.pearl.doubling import multiple_scattering
+from nacre.families.pearl.doubling import NARROWEST, multiple_scattering
 from nacre.families.pearl.flake_normals import FlakeNormals, mean_extinction, optical_number, visible_weights
 from nacre.families.pearl.platelet import platelet_response
 from nacre.families.pearl.random_walk import CHUNKS, Medium, no_tally, single_scattering_at, walk
@@ -64,11 +64,12 @@ class PearlSurrogate:
 
         Args:
             wi, wo: `[pair, 3]`, above the surface.
-            is_fine: approximate by adding-doubling rather than two streams.
+            is_fine: approximate by adding-doubling rather than two streams, if that resolves the normals.
         """
         medium = self.medium(COS_NODES)
         exact = self._first_order(medium, wi, wo, FACETS)
-        return exact, (multiple_scattering if is_fine else _two_streams)(medium, wi, wo, self.albedo)
+        approximate = multiple_scattering if is_fine and np.all(medium.sigma >= NARROWEST) else _two_streams
+        return exact, approximate(medium, wi, wo, self.albedo)
 
     def estimate(self, wi: Array, wo: Array, walks: int, seed: int) -> tuple[Array, Array]:
         """Return the BRDF and its standard error, each `[pair, wavelength]`, by `walks` walks for each light."""
