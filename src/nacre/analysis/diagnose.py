@@ -267,7 +267,7 @@ def diagnose(
 
 
 class _Likelihood:
-    """Residuals of all observations in units of the noise, as a function of the causes' factors."""
+    """All residuals in noise units, as a function of the causes' factors."""
 
     def __init__(
         self,

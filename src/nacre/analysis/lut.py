@@ -154,7 +154,7 @@ def closure_distribution(distribution: str) -> str:
 
 
 def rough_view(lobe: Microfacet, is_behind: bool) -> ViewColours:
-    """Return the colours with which the rough closure of an engine transmits and reflects the light of a rough film.
+    """Return the colours that make an engine's rough closure transmit and reflect like a rough film.
 
     At each view angle: radiance of the film under uniform light, divided by that of the closure with masking losses
     only (height-correlated Smith masking, as in engines). Brushed films have a row per azimuth (`over_azimuth`), or the

@@ -47,7 +47,7 @@ class ThinFilmFit:
 
 
 def fit_thin_film(material: Material) -> ThinFilmFit:
-    """Fit one film to the specular colours of a material; a blend of film and bare base is a share of the film.
+    """Fit one film to a material's specular colours; a blend with its bare base is a share of the film.
 
     Raises:
         UnsupportedError: the material lacks a specular part, or is a blend.

@@ -224,7 +224,7 @@ def _measure(flakes: LitFlakes, side_um: float, effort: float) -> tuple[list[tup
 
 
 def _moments(parts: Sequence[tuple[Array, ...]]) -> tuple[float, float]:
-    """Return sum and sum of squares of the contributions to a pixel: the mean and the variance of its luminance."""
+    """Return the sums of all contributions to a pixel and of their squares: mean and variance of its luminance."""
     first = sum(float(np.prod([v @ w for v, w in zip(p[::2], p[1::2], strict=True)])) for p in parts)
     second = sum(float(np.prod([v**2 @ w for v, w in zip(p[::2], p[1::2], strict=True)])) for p in parts)
     return first, second

@@ -1,4 +1,4 @@
-"""Final evaluation of a solution with the reference model of the material, independent of the search."""
+"""Final evaluation of a solution with the material's reference model, independent of the search."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ class Budget:
 
     @property
     def share_used(self) -> float:
-        """The larger of the shares of evaluations and of time that are spent."""
+        """The spent share of evaluations or of time, whichever is larger."""
         return max(self.used / self.evaluations, (time.monotonic() - self.start_time) / self.seconds)
 
     def is_over(self, evaluations: float | None = None, end_time: float | None = None, reserve_s: float = 0.0) -> bool:

@@ -181,7 +181,7 @@ def sensitivity(
     seconds: float,
     measured: Measurement | None = None,
 ) -> list[dict[str, Any]]:
-    """Return the effect of a change of 1 % of each parameter, largest first.
+    """Return the effect when each parameter changes by 1 %, largest first.
 
     In dE00, `de00_of_1_percent`; in per cent rms for targets that are all spectra, `rms_percent_of_1_percent`; in per
     cent of the number for targets that are all texture, `texture_percent_of_1_percent`.

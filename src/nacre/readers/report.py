@@ -62,7 +62,7 @@ def describe(measurement: Measurement, show: int = 0) -> dict[str, Any]:
 
 
 def points(measurement: Measurement) -> int:
-    """Return the number of rows of a table or of samples of a map."""
+    """Return a table's row count or a map's sample count."""
     sizes = [np.shape(values) for values in measurement.data.values()]
     if measurement.kind in ("heights", "colours") and sizes:
         return int(sizes[0][0]) if measurement.kind == "colours" else int(np.prod(sizes[0]))

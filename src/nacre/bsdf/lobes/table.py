@@ -153,7 +153,7 @@ def to_specular(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
 
 
 def to_half(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
-    """Return the "half" coordinates in [0, 1]."""
+    """Return theta_half, theta_diff and phi_diff as table coordinates, each in [0, 1]."""
     theta_half, theta_diff, phi_diff = half_difference(wi, wo)
     return np.sqrt(theta_half / HALF_PI), theta_diff / HALF_PI, phi_diff / np.pi
 

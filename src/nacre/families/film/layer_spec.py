@@ -187,7 +187,7 @@ class LayerBuilder:
     medium: Callable[[IndexSpec | AnisotropicSpec], Any]
 
     def build(self, specs: tuple[Any, ...], path: str = "layers", is_repeated: bool = False) -> Iterator[FilmLayer]:
-        """Yield the layers, those of a repeated group as often as it says."""
+        """Yield the layers; those inside a group are repeated."""
         for i, spec in enumerate(specs):
             here = f"{path}[{i}]"
             if isinstance(spec, RepeatSpec):

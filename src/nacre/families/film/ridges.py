@@ -51,7 +51,7 @@ class Ridges:
         return float(np.sin(np.radians(self.along_deviation_deg)))
 
     def lobe(self, response: InterfaceResponse) -> Ridge:
-        """Return the lobe of ridges with lamellae of the R and T of `response`."""
+        """Return the lobe of ridges whose lamellae have R and T of `response`."""
         return Ridge(
             response=response,
             pitch_nm=self.pitch_nm,

@@ -383,7 +383,7 @@ class FilmSpec(RecipeModel):
 
 
 def _plain_layers(layers: tuple[Any, ...], path: str = "layers") -> Iterator[tuple[str, LayerSpec]]:
-    """Yield path and table of each layer of a material, those of groups included."""
+    """Yield each layer's path and table, also within groups."""
     for i, layer in enumerate(layers):
         if isinstance(layer, LayerSpec):
             yield f"{path}[{i}]", layer

@@ -240,7 +240,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
 
     @property
     def surrogate_error(self) -> float | None:
-        """Error in `doubling` by rough interfaces and angular steps."""
+        """Error of `doubling` from rough interfaces and angular steps."""
         is_known = self._is_estimated and all(kind.normals.deviation[0] >= NARROWEST for kind in self.strata[0].kinds)
         return RELATIVE_ERROR if is_known else None
 

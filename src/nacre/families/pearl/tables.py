@@ -230,7 +230,7 @@ def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 
 
 
 def _independent_walks(lobe: Layered, theta_rad: Array, numbers: tuple[int, int], effort: float, seed: int) -> Array:
-    """Return f cos of random walks integrated over bins of exits, `[angle, chunk, bin, wavelength]`.
+    """Return f cos from random walks, integrated over exit bins, `[angle, chunk, bin, wavelength]`.
 
     Args:
         numbers: walks, and samples of single scattering, in all chunks of an incidence.

@@ -46,7 +46,7 @@ class Coherence:
 
     @property
     def sigma_um(self) -> float:
-        """The published parameter."""
+        """The published sigma, in um."""
         return self.width_in_wavelengths * PUBLISHED_REFERENCE_UM
 
 

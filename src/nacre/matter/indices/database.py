@@ -205,7 +205,7 @@ def _entry(key: str, path: Path, what: str) -> Entry:
 
 
 def _models(blocks: list[dict[str, str]]) -> tuple[Dispersion | None, Dispersion | None]:
-    """Return the models of n and of k; the last block of each type counts, as in the database's own reader."""
+    """Return the models for n and k; the last block for each counts, as in the database's own reader."""
     n_model: Dispersion | None = None
     k_model: Dispersion | None = None
     for block in blocks:

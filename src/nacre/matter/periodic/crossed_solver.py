@@ -48,7 +48,7 @@ Parts = tuple[Components, list[Modes | Slab], Content]
 
 
 def solve_rectangles(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, degree: int) -> OrderSolution:
-    """Return the orders of layers of rectangles by tensor products of piecewise polynomials."""
+    """Return the orders of layers with rectangles, by tensor products of piecewise polynomials."""
     transverse, _, _ = incident_wave(stack, theta_rad, phi_rad)
     bases = _bases(stack, k0, transverse, degree, (stack.reach, stack.reach))
     *even, is_square = box_symmetries(stack)
@@ -110,7 +110,7 @@ def box_symmetries(stack: PeriodicStack) -> tuple[bool, bool, bool]:
 def rectangle_response(
     stack: PeriodicStack, k0: float, transverse: Array, degree: int, upper: Array, lower: Array
 ) -> Array:  # fmt: skip
-    """Return the response of `order_responses` of layers of rectangles."""
+    """Return the response (`order_responses`) of layers with rectangles."""
     waves = np.abs(transverse + stack.cell.wave_vectors(np.concatenate([upper, lower])) / k0).max(axis=0)
     bases = _bases(stack, k0, transverse, degree, (float(waves[0]), float(waves[1])))
     return _response(
@@ -154,7 +154,7 @@ def _elements(stack: PeriodicStack, k0: float, degree: int) -> list[tuple[Array,
 
 
 def rectangle_unknowns(stack: PeriodicStack, wavelength_nm: float, step: int) -> int:
-    """Return the number of unknowns of layers of rectangles, for light without a mirror symmetry.
+    """Return the unknown count for layers with rectangles, for light without a mirror symmetry.
 
     Args:
         step: number of the size, 0 for the smallest.
@@ -323,7 +323,7 @@ def solve_fourier(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
 def fourier_response(
     stack: PeriodicStack, k0: float, transverse: Array, radius: int, upper: Array, lower: Array
 ) -> Array:  # fmt: skip
-    """Return the response of `order_responses` of layers of any shapes."""
+    """Return the response (`order_responses`) of layers with any shapes."""
     orders, layers = _circle(stack, k0, transverse, radius, np.concatenate([upper, lower]))
     parts = _fourier_class(stack, k0, transverse, layers, orders, (None, None))
     return _response(stack, k0, *parts, upper, lower)

@@ -49,7 +49,7 @@ CHUNK = 5e5  # numbers in one matrix of all cases
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """Both spaces of polynomials with the Bloch phases of each case, on a period of length 1.
+    """Both polynomial spaces with each case's Bloch phases, on a period of length 1.
 
     Attributes:
         mesh: the elements.
@@ -126,7 +126,7 @@ def _meshes(starts: Array, values: Array, stacks: list[PeriodicStack], k0: Array
     """Return one element between neighbouring walls of any layer, on a period of length 1, for each case.
 
     The fields at the edges of the walls are singular. Polynomials of degree p on a length h resolve them to some
-    h / p^2, and each element is made to resolve them alike; it also resolves the waves of the largest index in it.
+    h / p^2, equally fine in all elements. Each element also resolves waves in its largest index.
 
     Args:
         starts: walls over the period, in nm.

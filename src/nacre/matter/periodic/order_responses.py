@@ -100,7 +100,7 @@ def channels_of(stack: PeriodicStack, wavelength_nm: float) -> Channels:
 
 
 def _heights(lattice: Array) -> Array:
-    """Return the distance of neighbouring rows of orders along both vectors; 0 for the second of lines."""
+    """Return the distance between neighbouring order rows along both vectors; for lines the second is 0."""
     if not np.any(lattice[1]):
         return np.array([lattice[0, 0], 0.0])
     return np.asarray(abs(np.linalg.det(lattice)) / np.hypot(lattice[::-1, 0], lattice[::-1, 1]))

@@ -1,4 +1,4 @@
-"""Mean reflection of supercells of ridges over the directions of light and viewer, for a lobe."""
+"""Mean reflection of ridge supercells over light and view directions, for a lobe."""
 
 from __future__ import annotations
 

@@ -160,7 +160,7 @@ def _solve_slices(
     stack: PeriodicStack, wavelength_nm: float, theta_rad: float, phi_rad: float, tolerance: float | None,
     is_strict: bool,
 ) -> OrderSolution:  # fmt: skip
-    """Return the orders of sloping walls: the extrapolated limit of two numbers of slices that agree."""
+    """Return the orders for sloping walls, extrapolated from two slice counts that agree."""
     assert stack.refined is not None
     method = method_of(stack.refined(SLICES["fourier"][0]))
     bound = tolerance if tolerance is not None else SLICES_TOLERANCE[method]

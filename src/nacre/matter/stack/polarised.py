@@ -152,7 +152,7 @@ def polarised_response(
         theta_rad: incidence angles, `[angle]` or `[angle, wavelength]`, in [0, pi/2].
         azimuth_rad: azimuth of the direction towards the light, from u to v.
         absorption: compute the absorption of each layer; only for coherent stacks.
-        slice_share: share of the slices of helical layers, for a quicker answer with an error of some 1e-4.
+        slice_share: share of helical slices, for a quicker answer with an error near 1e-4.
         jobs: threads.
 
     Raises:

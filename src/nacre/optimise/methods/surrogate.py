@@ -555,7 +555,7 @@ class SurrogateSearch(Search):
 
 
 def is_applicable(task: DesignTask) -> bool:
-    """Whether a task has a surrogate at all of its geometries."""
+    """Whether a task has a surrogate at each geometry."""
     if task.spec.layers is not None:
         return False
     grid = np.asarray(task.material.model.wavelengths_nm)

@@ -285,7 +285,7 @@ def _inherit(space: Any, population: Any, size: int, media: Any, d: Any) -> tupl
 
 @compiled(error_model="numpy")
 def _descent(stage: int) -> tuple[int, float, float]:
-    """Return steps, power and the largest ratio to the worst of the population, of a stage of refinement."""
+    """Return steps, power and the largest ratio to the population's worst, for a refinement stage."""
     if stage == 0:
         return FIRST_STEPS, 2.0, MAX_RATIO
     if stage == 1:

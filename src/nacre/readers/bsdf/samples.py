@@ -1,4 +1,4 @@
-"""Common part of the BSDF readers: text, axes, angles, and the `Measurement` of a set of direction pairs.
+"""Common part of BSDF readers: text, axes, angles, and the `Measurement` of direction pairs.
 
 Directions point away from the surface; azimuth differences of 0 mean retroreflection, 180 degrees the mirror side.
 """

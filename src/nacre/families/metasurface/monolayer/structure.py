@@ -140,7 +140,7 @@ def baus_colot_pair_correlation(r_reduced: ArrayLike, packing: float) -> Array:
 
 
 def _indirect_correlation(x: Array, packing: float) -> Array:
-    """gamma(r/a), smooth through contact."""
+    """Return the indirect correlation gamma(r/a), smooth through contact."""
     q, weight = _indirect_spectrum(float(packing))
     if x.size <= MOST_KEPT:
         return np.reshape(_indirect_waves(np.ascontiguousarray(x, dtype=float).tobytes()) @ weight, x.shape)

@@ -375,7 +375,7 @@ def choose_order(
     tolerance: float = ORDER_TOLERANCE,
     mmax: int = AZIMUTHAL_ORDERS,
 ) -> int:
-    """Return the lowest multipole order whose far field changes by at most `tolerance` when it is doubled.
+    """Return the lowest multipole order whose doubling changes the far field by at most `tolerance`.
 
     The change is the relative L2 norm for d sigma/d Omega over scattering angles, the maximum over four incidences and
     two polarisations.
