@@ -82,6 +82,18 @@ def test_a_stored_bsdf_is_the_same_to_the_last_bit(stored: Path) -> None:
     assert after.transmits
 
 
+@pytest.mark.parametrize("index", [0.0, -1.5, 1e9])
+def test_an_impossible_relative_index_is_refused(tmp_path: Path, index: float) -> None:
+    path, response = tmp_path / "index.nacre", dielectric(1.5)
+    good = np.linspace(1.49, 1.51, len(WAVELENGTHS))
+    Bsdf((Specular(dataclasses.replace(response, relative_index=good)),)).save(path)
+    found = Bsdf.load(path).lobes[0]
+    assert isinstance(found, Specular)
+    np.testing.assert_array_equal(found.response.relative_index, good)
+    Bsdf((Specular(dataclasses.replace(response, relative_index=np.full(len(WAVELENGTHS), index))),)).save(path)
+    refused(path)
+
+
 def test_the_same_bsdf_makes_the_same_bytes(tmp_path: Path, stored: Path) -> None:
     again = tmp_path / "again.nacre"
     bsdf().save(again)

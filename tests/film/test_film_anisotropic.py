@@ -397,3 +397,12 @@ def test_a_rough_anisotropic_film_is_a_mirror_part_of_pictures() -> None:
     assert [lobe.kind for lobe in bsdf.lobes] == ["aligned-microfacet"]
     with pytest.raises(UnsupportedError):
         resolve_material(bsdf, None, "diffuse")
+
+
+def test_a_table_of_light_in_a_dense_ambient_states_its_own_error() -> None:
+    medium = {"ordinary": 1.5, "extraordinary": 1.7, "axis_polar_deg": 90}
+    made = film(ambient={"n": 1.5}, substrate={"n": 1.0}, layers=[{"material": medium, "thickness_nm": 900}])
+    bsdf = made.bsdf(np.array([450.0, 600.0]))
+    note = bsdf.provenance["angle_table"]
+    assert note["largest_error"] < 5e-3 and note["ranges"] == []
+    assert np.all(bsdf.angle_error(np.radians([20.0, 160.0])) < 5e-3)

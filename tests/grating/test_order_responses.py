@@ -202,3 +202,25 @@ def test_adjacent_metal_lines_are_solved_by_a_larger_basis() -> None:
         stack = PeriodicStack(Cell(500.0), 1.0, tuple(layers), 1.5)
         coarse, fine = (solve_coarse(stack, 560.0, 0.5, 0.4, step) for step in (0, 4))
         assert difference(coarse, fine) < 1.5e-3
+
+
+def test_orders_leave_into_a_dense_ambient_where_they_propagate() -> None:
+    layer = {"thickness_nm": 250, "material": {"n": 1.4},
+             "shapes": [{"shape": "line", "width_nm": 300, "material": {"n": 1.9}}]}  # fmt: skip
+    made = nacre.load({"family": "grating", "ambient": {"n": 1.4}, "substrate": {"n": 1.6}, "layers": [layer],
+                       "lattice": {"period_nm": 500}})  # fmt: skip
+    lam = np.array([550.0])
+    bsdf, found = made.bsdf(lam), nacre.orders(made, 33.0, 17.0, lam)
+    theta, azimuth = np.radians([33.0, 17.0])
+    wi = np.array([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)])
+    checked = 0
+    for name, eta in (("reflected", 1.0), ("transmitted", 1.6 / 1.4)):
+        lobe: Any = next(each for each in bsdf.lobes if each.kind == "orders" and (each.eta > 0.0) == (eta > 1.0))
+        peak = eta**2 / (2.0 * np.pi * lobe.width**2)
+        sides = getattr(found, name).mean(axis=-1)[0, 0], getattr(found, f"{name}_direction")[0, 0]
+        for number, power, way in zip(found.numbers, *sides, strict=True):
+            if np.any(number) and np.isfinite(power):
+                value = lobe.evaluate(wi, way / np.linalg.norm(way))[0] / peak
+                assert value == pytest.approx(power, abs=4e-3)
+                checked += power > 0.01
+    assert checked > 1

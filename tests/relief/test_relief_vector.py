@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -153,6 +154,22 @@ def test_the_bsdf_holds_the_orders(tmp_path: Path) -> None:
     assert bsdf.evaluate(wi, wo) == pytest.approx(bsdf.evaluate(wo, wi), rel=1e-9)
     spectrum = nacre.spectrum(material, [0.0, 40.0], wavelengths_nm=lam, polarisation="s")
     assert spectrum.diffuse_reflectance is not None and np.all(spectrum.diffuse_reflectance < 1.0)
+
+
+def test_orders_below_a_dense_medium_leave_where_they_propagate(tmp_path: Path) -> None:
+    model: Any = relief(tmp_path, np.tile(np.repeat([0.0, 0.12], 4)[:, None], (1, 8)), 0.06).model
+    above = nacre.material(
+        {"family": "grating", "ambient": {"n": 1.4}, "substrate": "Al", "lattice": {"period_nm": 300}}
+    )
+    ambient: Any = above.model
+    made = replace(model, scalar=replace(model.scalar, ambient=ambient.ambient))
+    theta, azimuth, lam = 0.6, 0.3, np.array([450.0])
+    lobe, found = made.bsdf(lam).lobes[0], made.diffraction_orders(np.array([theta]), azimuth, lam)
+    wi = np.array([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)])
+    assert len(found.numbers) > 2
+    for power, way in zip(found.reflected[0, 0].mean(axis=-1), found.reflected_direction[0, 0], strict=True):
+        value = lobe.evaluate(wi, way / np.linalg.norm(way))[0] * 2.0 * np.pi * lobe.width**2
+        assert value == pytest.approx(power, abs=0.03)
 
 
 def test_auto_says_which_optics_it_took(tmp_path: Path) -> None:

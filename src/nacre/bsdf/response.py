@@ -103,8 +103,13 @@ class InterfaceResponse:
             if self.total_nodes.shape != self.total.shape[-2:-1]:
                 raise ValueError("total_nodes has a wrong shape")
             check_angle_nodes("total_nodes", self.total_nodes)
-        if self.relative_index is not None and self.relative_index.shape != full[-1:]:
-            raise ValueError("relative_index has a wrong shape")
+        if self.relative_index is not None:
+            if self.relative_index.shape != full[-1:]:
+                raise ValueError("relative_index has a wrong shape")
+            if not np.all((self.relative_index > 0.01) & (self.relative_index < 100.0)):
+                raise ValueError("relative_index holds values that are not indices")
+            if self.eta == 1.0:
+                raise ValueError("relative_index needs an eta above 1")
         if not 1.0 <= self.eta < 100.0 or (self.eta > 1.0 and self.total.shape[-2] < 2):
             raise ValueError("eta is below 1, or total has no nodes")
 

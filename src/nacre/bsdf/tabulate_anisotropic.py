@@ -183,10 +183,16 @@ class AnisotropicTables(StackTables):
         return response, self.errors_of(response, d)
 
     def errors_of(self, response: InterfaceResponse, thicknesses_nm: Array) -> AngleErrors:
-        """Return the errors in R of tables averaged over the azimuth, for light from the ambient."""
+        """Return the errors in R of tables averaged over the azimuth, at a few angles of light from the ambient.
+
+        Where the ambient is the denser medium, they are those at the conjugate angles in the rarer one.
+        """
         exact = self.outside(np.asarray(thicknesses_nm, dtype=float), CHECKED_COSINES)[0]
-        found = response.lookup(CHECKED_COSINES, np.full(len(CHECKED_COSINES), self.flipped))[0]
-        return AngleErrors((np.arccos(CHECKED_COSINES)[:, None], np.abs(found - exact)))
+        found = response.lookup(CHECKED_COSINES, np.zeros(len(CHECKED_COSINES), dtype=bool))[0]
+        theta, error = np.arccos(CHECKED_COSINES)[:, None], np.abs(found - exact)
+        if not self.flipped:
+            return AngleErrors((theta, error))
+        return AngleErrors((theta, error), (np.arcsin(np.sin(theta) / self.eta), error))
 
     def with_parameters(
         self, thicknesses_nm: Array, parameters: tuple[ParameterAxis, ...]

@@ -37,7 +37,8 @@ class OrdersLobe(Lobe):
         wavelengths_nm: `[wavelength]`.
         power: `[*params, theta, azimuth, order, wavelength]`, float32, E: uniform nodes in theta from 0 to pi/2 and in
             the light's azimuth from 0 to 2 pi, both ends included; linear between. Without the zero order.
-        lattice: `[2, 2]` rows g_10 and g_01, in 1/nm (for lines g_01 is zero); at the first period of `parameters`.
+        lattice: `[2, 2]` rows g_10 and g_01 over the index above, in 1/nm (for lines g_01 is zero); at the first period
+            of `parameters`.
         orders: `[order, 2]`, (m, n).
         width: w.
         rotation: angle of the lattice about the normal, rad, from +x to +y.

@@ -201,14 +201,16 @@ class Grating(Diffracting, Pixels):
         first = tables[0]
         if not len(first.orders):
             return Bsdf(tuple(lobes), notes)
-        width = limited_width(self.spread.angle_rad, tables[-1].lattice, float(lam[0]))
+        outer = float(np.mean(self.ambient.n_complex(lam).real))  # direction cosines are those in the ambient
+        width = limited_width(self.spread.angle_rad, tables[-1].lattice / outer, float(lam[0]))
         kept = [self.spread.coherent_share(t.orders @ t.lattice)[:, None].astype(np.float32) for t in tables]
         for name, index in (("reflected", 0.0), ("transmitted", eta)):
             parts = [getattr(t, name) * share for t, share in zip(tables, kept, strict=True)]
             if name == "transmitted" and (index == 0.0 or not any(np.any(part) for part in parts)):
                 continue
             power = np.stack(parts) if axes else parts[0]
-            lobes.append(OrdersLobe(lam, power, first.lattice, first.orders, width, self._rotation, index, axes))
+            lattice = first.lattice / outer
+            lobes.append(OrdersLobe(lam, power, lattice, first.orders, width, self._rotation, index, axes))
         if any(np.any(share < 1.0) for share in kept):
             lost = [
                 np.einsum("taow,o->tw", t.reflected[:, :-1], 1.0 - share[:, 0]) / (t.mirror.shape[1] - 1)

@@ -124,7 +124,7 @@ class VectorRelief(Diffracting, Fabricable):
         orders = np.concatenate([np.zeros((1, 2), dtype=np.int64), table.orders])
         width = self._width(float(lam[0]))
         rotation = Texture(QUARTER, QUARTER, formula=parse_formula(repr(QUARTER))) if self._is_turned else None
-        lobe = OrdersLobe(lam, power, table.lattice, orders, width, rotation)
+        lobe = OrdersLobe(lam, power, table.lattice / self.scalar.index_above, orders, width, rotation)
         return Bsdf((lobe,), {"optics": "vector", "estimated_error": float(f"{table.error:.2g}")})
 
     @property
@@ -143,4 +143,4 @@ class VectorRelief(Diffracting, Fabricable):
         return self.scalar.coherence.blur / self.scalar.index_above
 
     def _width(self, shortest_nm: float) -> float:
-        return limited_width(self._coherence_width, self.pattern.lattice, shortest_nm)
+        return limited_width(self._coherence_width, self.pattern.lattice / self.scalar.index_above, shortest_nm)
