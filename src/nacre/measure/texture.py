@@ -4,7 +4,7 @@ The flakes of the recipe (size, slope, number, depth, and what lies above them) 
 (`nacre.measure.sparkle`, `nacre.measure.graininess`) or from drawn patches as the camera sees them. The mean luminance
 is that of the material's noise-free surrogate (doubling method) if its error is known, else that of its Bsdf.
 Instruments of the market map such quantities to scales that are not public: without measured pairs the scale is
-relative. `calibration` holds such pairs. `TextureQuantity` stands for one number among the geometries of a design or a fit.
+relative. `calibration` holds such pairs. `TextureQuantity` stands for one number of a design or a fit.
 """
 
 from __future__ import annotations
