@@ -19,6 +19,7 @@ from nacre.families.pearl.flake_normals import FlakeNormals, rotation_matrix
 from nacre.families.pearl.flake_texture import visible_normals
 from nacre.material.material import as_material
 from nacre.measure import texture as texture_module
+from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.graininess import DiffuseArea, graininess_patch, graininess_statistics, two_point_moments
 from nacre.measure.sparkle import Area, Pixels, measure_image, overlap, sparkle_patch, sparkle_statistics, uniform_part
 from nacre.measure.texture import Instrument, calibrate, measure_texture
@@ -143,6 +144,19 @@ def agreement(count: int) -> tuple[np.ndarray, np.ndarray]:
             scores.append([(b - a) / e for (a, b), e in zip(pairs, errors, strict=True)])
             ratios.append([b / a for a, b in pairs])
     return np.array(scores), np.array(ratios)
+
+
+def test_a_base_that_is_not_diffuse_counts_with_its_own_light() -> None:
+    flakes = {"substrate": {"material": "mica", "thickness_nm": 400}, "volume_fraction": 0.002}
+    data = recipe(**flakes) | {"base": {"material": "Ti", "roughness": 0.2}}
+    material, made, up = as_material(data), scene(data), np.array([[0.0, 0.0, 1.0]])
+    bsdf = material.bsdf(made.wavelengths_nm)
+    for angle in (math.radians(15.0), math.radians(75.0)):
+        values, error = evaluate_with_error(bsdf, direction(angle)[None], up, samples=1 << 12)
+        found, noise = made._mean(material.model, angle)
+        assert error is not None
+        expected, own = (float(np.pi * each[0] @ made.weights) for each in (values, error))
+        assert abs(found - expected) < 4.0 * math.hypot(noise, own) + 0.02 * expected
 
 
 def test_statistics_and_patch_agree_on_sparkle(quick_walks: None) -> None:

@@ -2,9 +2,9 @@
 
 The flakes of the recipe (size, slope, number, depth, and what lies above them) give both, from their statistics
 (`nacre.measure.sparkle`, `nacre.measure.graininess`) or from drawn patches as the camera sees them. The mean luminance
-is that of the noise-free surrogate of the material (doubling method) if it has one, else that of its Bsdf. Instruments
-of the market map such quantities to scales that are not public: without measured pairs the scale is relative.
-`calibration` holds such pairs. `TextureQuantity` stands for one number among the geometries of a design or a fit.
+is that of the material's noise-free surrogate (doubling method) if its error is known, else that of its Bsdf.
+Instruments of the market map such quantities to scales that are not public: without measured pairs the scale is
+relative. `calibration` holds such pairs. `TextureQuantity` stands for one number of a design or a fit.
 """
 
 from __future__ import annotations
@@ -424,6 +424,9 @@ class _Scene:
             wi = direction(np.concatenate([np.radians(self.angles), np.arcsin(self.nodes)]))
             wo = np.broadcast_to(NORMAL, wi.shape)
             found = surrogate_radiance(model, wi, wo, self.wavelengths_nm, not self.is_scout)
+            if found is not None and not self.is_scout and np.any(found[1]):
+                assert isinstance(model, Surrogate)
+                found = None if model.surrogate_error is None else found  # a base that is not diffuse
             parts = None if found is None else (np.pi * found[0] @ self.weights, np.pi * found[1] @ self.weights)
             self.luminances[id(model)] = parts
         return self.luminances[id(model)]
