@@ -171,7 +171,7 @@ class MeritFunction:
         return _distance_to_range(operand, lab)
 
     def objective(self, d: ArrayLike) -> Array:
-        """Return the largest weight x distance / tolerance, plus a thousandth of the mean; below 1, all targets are met.
+        """Return the largest weight x distance / tolerance, plus a thousandth of the mean; below 1 all targets are met.
 
         Args:
             d: distances `[..., term]`.
