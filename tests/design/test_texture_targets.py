@@ -17,6 +17,7 @@ from nacre.core.errors import NacreError, RecipeError
 from nacre.material.material import as_material
 from nacre.measure.texture import (
     QUANTITY_NAMES,
+    Instrument,
     TextureQuantity,
     _Scene,
     measure_texture,
@@ -291,6 +292,11 @@ def test_a_bad_limit_of_texture_is_refused(asked: dict[str, float]) -> None:
     spread = as_material(PAINT | {"tolerance": {DIAMETER: {"percent": 5}}})
     with pytest.raises(RecipeError, match="texture"):
         run_tolerance(spread, recipe_tolerances(spread), draws=2, texture=asked)
+    two = {
+        TextureQuantity.named(name, "", Instrument(lamp_deg=d)): 5.0 for name, d in (("sparkle_45", 2), ("area_45", 3))
+    }
+    with pytest.raises(RecipeError, match="texture"):
+        run_tolerance(spread, recipe_tolerances(spread), draws=2, texture=two)
     film = as_material({"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]})
     with pytest.raises(RecipeError, match="texture"):
         run_tolerance(film, recipe_tolerances(film, ("layers[0].thickness_nm=2",)), draws=2, texture={"sparkle_45": 5})

@@ -406,3 +406,12 @@ def test_a_table_of_light_in_a_dense_ambient_states_its_own_error() -> None:
     note = bsdf.provenance["angle_table"]
     assert note["largest_error"] < 5e-3 and note["ranges"] == []
     assert np.all(bsdf.angle_error(np.radians([20.0, 160.0])) < 5e-3)
+
+
+def test_a_stored_rough_anisotropic_film_has_its_mirror_spectrum(tmp_path: Path) -> None:
+    medium = {"ordinary": {"n": 1.5}, "extraordinary": {"n": 2.2}, "axis_polar_deg": 90}
+    made = film(substrate="Si", layers=[{"material": medium, "thickness_nm": 300}], surface={"roughness": 0.2})
+    waves, angles = np.array([450.0, 550.0, 650.0]), np.radians([0.0, 40.0])
+    made.bsdf(waves).save(tmp_path / "film.nacre")
+    stored = nacre.spectrum(nacre.load(tmp_path / "film.nacre"), np.degrees(angles)).specular_reflectance
+    assert stored == pytest.approx(made.spectrum(angles, waves).specular_reflectance, abs=1e-3)

@@ -291,8 +291,6 @@ def _with(film: ThinFilm, thickness_nm: float) -> ThinFilm:
 
 
 def _lab(material: Material) -> Array:
-    pass
-
     spectrum = material.spectrum(np.radians(ANGLES_DEG))
     reflectance = spectrum.specular_reflectance
     if reflectance is None:

@@ -18,7 +18,7 @@ from nacre.light import delta_e_2000
 from nacre.material.material import Material, MaterialLike, as_material
 from nacre.measure.colours import geometry_colours, recipe_geometries
 from nacre.measure.geometry import ASPECULAR_DEG, Geometry
-from nacre.measure.texture import TextureQuantity, check_texture, texture_values
+from nacre.measure.texture import Instrument, TextureQuantity, check_texture, texture_values
 from nacre.optimise.tolerances import Component, Tolerance, components, draw, read_tolerances, wilson_interval
 from nacre.recipe.path_tables import by_path, with_options
 
@@ -218,7 +218,7 @@ def _quantities(
     """Return texture quantities and their limits.
 
     Raises:
-        RecipeError: a quantity is not known, or the material lacks texture.
+        RecipeError: a quantity is not known, or of another instrument; or the material lacks texture.
     """
     found = {}
     for name, limit in texture.items():
@@ -228,6 +228,8 @@ def _quantities(
         if not 0 < limit < np.inf:
             raise RecipeError(f'texture: "{each}" = {limit:g} is not a limit in per cent; allowed: above 0')
         found[each] = float(limit)
+    if any((each.instrument or Instrument()) != (next(iter(found)).instrument or Instrument()) for each in found):
+        raise RecipeError("texture: the quantities are of several instruments; allowed: one")
     if found:
         check_texture(material, f'texture: "{next(iter(found))}"')
     return found

@@ -72,7 +72,7 @@ def evaluate_with_error(
 def warn_of_table(bsdf: Bsdf, theta_rad: Array) -> None:
     """Warn of incidences `theta_rad` (> pi/2: from behind) at which the tables over angle are inexact."""
     if found := bsdf.error_ranges(theta_rad):
-        logger.warning("%s; the command spectrum has no such error", found)
+        logger.warning("%s; the spectrum of a film's recipe is exact", found)
 
 
 def _facet_angles(wi: Array, wo: Array) -> Array:

@@ -59,7 +59,7 @@ def bsdf_spectrum(
     for lobe in bsdf.lobes:
         if isinstance(lobe, Microfacet):
             w = lobe.local_frame(direction(theta), uv)
-            more = lobe.response.resolved(np.abs(w[..., 2]), w[..., 2] < 0, uv)
+            more = lobe.smooth_powers(w, uv)
             reflected, transmitted = reflected + more[0], transmitted + more[1]
         elif isinstance(lobe, Diffuse) and lobe.under_smooth is not None:
             bases.append(lobe)

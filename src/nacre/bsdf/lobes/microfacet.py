@@ -118,6 +118,10 @@ class Microfacet(ResponseLobe):
         """
         return self.response.lookup(np.abs(np.sum(w * h, axis=-1)), w[..., 2] < 0, uv)
 
+    def smooth_powers(self, w: Array, uv: Array | None = None) -> tuple[Array, Array]:
+        """Return R and T `[..., wavelength]` of the smooth interface for light along `w`, as `facet_powers` has it."""
+        return self.response.resolved(np.abs(w[..., 2]), w[..., 2] < 0, uv)
+
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return the value `[..., wavelength]` in 1/sr, light arriving along `wi` and leaving along `wo`."""
         wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
@@ -252,6 +256,10 @@ class AlignedMicrofacet(Microfacet):
             phi = phi + self.rotation(places(uv, phi.shape))
         place = np.mod(phi / (2.0 * np.pi), 1.0) * (self.azimuths - 1)
         return self.response.lookup_at(np.sum(w * h, axis=-1), inside, (place,))
+
+    def smooth_powers(self, w: Array, uv: Array | None = None) -> tuple[Array, Array]:
+        """Return R and T of the smooth interface; see `Microfacet.smooth_powers`."""
+        return self.facet_powers(w, np.broadcast_to([0.0, 0.0, 1.0], w.shape), uv)
 
     def mean(self) -> Microfacet:
         """Return the lobe with the means over the azimuth."""

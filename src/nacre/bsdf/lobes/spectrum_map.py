@@ -107,8 +107,6 @@ class SpectrumMap(Lobe):
 
     def spectrum_at(self, u: Array, v: Array, xi: Array, place: Array | None = None) -> Array:
         """Return S, `[n, wavelength]`, at `[n]` psi points; `place` as in `bare`."""
-        pass
-
         position = np.stack(
             [
                 (np.asarray(u, dtype=float) - self.psi_first) / self.psi_step,
