@@ -213,9 +213,10 @@ def _read(file: h5py.File, is_aligned: bool) -> AxialTMatrices:
     epsilon = material_epsilon(file, len(values))
     if epsilon is not None:
         epsilon = epsilon[order]
-        _check_time_sign(parity, wavelengths[order], index[order], epsilon, shape, geometry)
     whole = full_or_none(parity) if is_aligned else None
     blocks, turn_loss = axial(parity) if whole is None else (mean_blocks(parity), 0.0)
+    if epsilon is not None:
+        _check_time_sign(parity, wavelengths[order], index[order], epsilon, shape, geometry)
     name = shown(attribute(file.attrs, "name"), 60)
     return AxialTMatrices(
         wavelengths[order],
