@@ -544,3 +544,15 @@ def test_a_particle_with_corners_is_taken_as_the_mean_over_its_turns(tmp_path, c
     with pytest.warns(MetasurfaceWarning, match="mean over its turn"):
         made = nacre.load(path).model.bsdf(np.array([500.0]))
     assert 0 < made.provenance["left_out_by_turns"] < 0.05
+
+
+@pytest.mark.parametrize(("index", "radius"), [(4.0 + 0.05j, 40.0), (0.1 + 3.5j, 60.0)])
+def test_the_magnetic_elements_of_any_body_give_its_time_sign(tmp_path, index, radius):
+    """As of a cylinder, whose electric dipole has no closed form."""
+    path = tmp_path / "a.tmat.h5"
+    write_tmatrices(path, _spheres(radius=radius, index=index), "cylinder", "Mie", "")
+    assert read_tmatrices(path).shape == "cylinder"
+    with h5py.File(path, "r+") as file:
+        file["tmatrix"][...] = np.conj(file["tmatrix"][()])
+    with pytest.raises(TMatrixFileError, match="conjugate"):
+        read_tmatrices(path)

@@ -99,7 +99,7 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
         raise NacreError(f"shape {path}: {count} triangles; at most {MAX_FACES}")
     names = sorted({part.material for part in parts})
     if len(names) > 1:
-        shown = ", ".join(name or "none" for name in names[:4])
+        shown = ", ".join(name or "(without a name)" for name in names[:4])
         logger.warning("shape %s has the materials %s; the recipe covers them all", path, shown)
     turn = TO_Z_UP[up or ("y" if path.suffix.lower() in Y_UP else "z")]
     if not all(map(_is_sound, parts)) or not any(np.ptp(part.vertices, axis=0).max() > 0 for part in parts):

@@ -102,4 +102,6 @@ def _esri(path: Path, data: bytes) -> tuple[NDArray[Any], tuple[float, float]]:
     heights = heights.reshape(shape)
     heights[heights == head.get("nodata_value", -9999.0)] = np.nan
     step = head.get("cellsize")
+    if step is None and not {"dx", "dy"} <= head.keys():
+        raise ValueError("its head has no cellsize")
     return heights, (head["dx"], head["dy"]) if step is None else (step, step)

@@ -133,6 +133,9 @@ def _check_passive(matrix: ComplexArray) -> None:
 
 
 SHAPES = ("sphere", "spheroid", "cylinder")  # axisymmetric shapes in the format
+# below 0.8 of these index x wavenumber x radius (zeros of j_(l-1)) a sphere has no magnetic resonance of order l
+BELOW_RESONANCE = 0.8 * np.array([3.1416, 4.4934, 5.7635])
+CLEAR_SHARE = 1e-3  # of the largest element of T: errors of a mesh are smaller
 SMALL_SPHEROID = 0.7  # wavenumber times half axis up to which the Gans dipole tells a matrix from its conjugate
 REACH, ROUNDED = "circumscribing_radius", 1e-9  # geometry dataset; relative length rounding
 ELECTRIC, MAGNETIC = ("electric", "tm", "n"), ("magnetic", "te", "m")
@@ -232,8 +235,9 @@ def _check_time_sign(
 ) -> None:
     """Refuse conjugated matrices, of time exp(+i w t).
 
-    Conjugation keeps passivity and extinction. It shows in a material that amplifies, and in the electric dipole of a
-    sphere (Mie) or of a small spheroid (Gans, with radiation: 1/T = 1/t - 1, t = i k^3 alpha / (6 pi)).
+    Conjugation keeps passivity and extinction. It shows in a material that amplifies, in the electric dipole of a
+    sphere (Mie) or of a small spheroid (Gans, with radiation: 1/T = 1/t - 1, t = i k^3 alpha / (6 pi)), and in the
+    magnetic elements at m = 0: below the first resonance their imaginary part has the sign of Re(epsilon) - 1.
 
     Raises:
         TMatrixFileError: the matrices are nearer to the conjugate than to the expectation.
@@ -243,12 +247,27 @@ def _check_time_sign(
             "states a material that amplifies, so that its time is exp(+i w t); conjugate the matrices and the "
             "permittivity: the format has exp(-i w t)"
         )
-    if shape not in ("sphere", "spheroid") or not geometry:
+    if shape not in SHAPES or not geometry:
         return
+    conjugate = TMatrixFileError(
+        f"holds the conjugate of the T-matrix of its {shape}, of time exp(+i w t); conjugate the matrices: the "
+        "format has exp(-i w t)"
+    )
     lmax = parity.shape[1] // 2
-    dipole = parity[:, lmax, lmax, lmax, lmax]  # m = 0, electric, l = 1: along the axis
     k = 2.0 * np.pi * index / wavelengths_nm
     relative = epsilon / index**2
+    orders = np.arange(min(lmax, len(BELOW_RESONANCE)))
+    magnetic = parity[:, lmax, lmax, orders, orders]  # m = 0; wavelength, l
+    reach = (k * float(geometry["circumscribing_nm"]))[:, None]
+    inside = np.sqrt(np.where(relative.real > 0, np.abs(relative), 0.0))[:, None]  # metals have no such resonance
+    is_clear = (reach * inside < BELOW_RESONANCE[orders]) & (reach < 1.5 * (orders + 1))
+    is_clear &= (np.abs(relative.real - 1.0) > np.maximum(0.5, 2.0 * np.abs(relative.imag)))[:, None]
+    is_clear &= np.abs(magnetic) > CLEAR_SHARE * np.abs(parity).max(axis=(1, 2, 3, 4))[:, None]
+    if np.sum(np.where(is_clear, magnetic.imag * np.sign(relative.real - 1.0)[:, None], 0.0)) < 0.0:
+        raise conjugate
+    if shape == "cylinder":
+        return
+    dipole = parity[:, lmax, lmax, lmax, lmax]  # m = 0, electric, l = 1: along the axis
     radius, half = float(geometry["radius_nm"]), 0.5 * float(geometry["height_nm"])
     if shape == "sphere":
         expected = -mie_coefficients(1, (k * radius)[None], np.sqrt(relative)[None])[0][0]
@@ -259,10 +278,7 @@ def _check_time_sign(
         static = 1j * k**3 / (6.0 * np.pi) * alpha / (1.0 + _depolarisation(half / radius) * (relative - 1.0))
         expected = static / (1.0 - static)
     if len(dipole) and np.linalg.norm(dipole - expected.conj()) < 0.5 * np.linalg.norm(dipole - expected):
-        raise TMatrixFileError(
-            f"holds the conjugate of the T-matrix of its {shape}, of time exp(+i w t); conjugate the matrices: the "
-            "format has exp(-i w t)"
-        )
+        raise conjugate
 
 
 def _depolarisation(ratio: float) -> float:
