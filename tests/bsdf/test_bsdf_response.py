@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from helpers_bsdf import WAVELENGTHS, dielectric, fresnel
 
+from nacre.bsdf import Bsdf
+from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.tabulate import StackTables, is_transparent
 from nacre.core.arrays import interpolate, take_uniform
+from nacre.measure.spectrum import bsdf_spectrum
 
 TABLE_ERROR = 2e-4  # of R and T between nodes; `TABLE_ERROR` of tabulate, with room for the last refinement
 
@@ -101,3 +104,19 @@ def test_wrong_shapes_are_reported() -> None:
         dataclasses.replace(good, eta=0.5).check()
     with pytest.raises(ValueError, match="ascend"):
         dataclasses.replace(good, wavelengths_nm=good.wavelengths_nm[::-1]).check()
+
+
+def test_a_range_of_errors_includes_its_ends_and_is_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
+    ranges = [
+        {"side": "ambient", "from_deg": 30.0, "to_deg": 45.0, "error": 0.1},
+        {"side": "substrate", "from_deg": 20.0, "to_deg": 90.0, "error": 0.2},
+    ]
+    notes = {"angle_table": {"largest_error": 0.2, "ranges": ranges}, "source": "one-of-a-kind.toml"}
+    bsdf = Bsdf((Specular(dielectric(1.5)),), notes)
+    found = bsdf.angle_error(np.radians([29.9, 30.0, 45.0, 45.1, 135.0, 159.9, 160.1, 180.0]))
+    np.testing.assert_allclose(found, [0.005, 0.1, 0.1, 0.005, 0.2, 0.2, 0.005, 0.005])
+    bsdf_spectrum(bsdf, np.radians([10.0, 60.0]))
+    assert not caplog.records
+    for _ in range(3):
+        bsdf_spectrum(bsdf, np.radians([10.0, 40.0]))
+    assert len(caplog.records) == 1

@@ -9,8 +9,9 @@ import pytest
 
 import nacre
 from nacre.analysis.fit import read_measurement
+from nacre.analysis.fit_data import OrdersData
 from nacre.cli import run
-from nacre.core.errors import NacreError
+from nacre.core.errors import NacreError, UnsupportedError
 from nacre.formats.number_maps import NumberMap, write_number_maps
 from nacre.optimise.batch import _table
 
@@ -49,8 +50,10 @@ def test_diffraction_orders_come_back(folder: Path) -> None:
     np.testing.assert_allclose(found.data["wavelength_nm"][zeroth], [500, 600])
     total = sum(np.nansum(found.data[f"{way}_s"]) for way in ("reflected", "transmitted"))
     assert total == pytest.approx(2.0, abs=1e-3)  # glass absorbs nothing: all power of two wavelengths
-    with pytest.raises(NacreError):
-        read_measurement(Path("orders.csv"))  # efficiencies of orders are no spectrum
+    measured = read_measurement(Path("orders.csv"))
+    assert isinstance(measured, OrdersData)
+    with pytest.raises(UnsupportedError):  # efficiencies of orders are no spectrum of a film
+        measured.model(nacre.load("film.toml"), None, 0)
 
 
 def test_a_layer_sheet_comes_back(folder: Path) -> None:

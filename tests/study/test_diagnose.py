@@ -59,6 +59,15 @@ def test_the_layer_that_was_off_is_named_with_its_deviation() -> None:
     assert result.material.get(path) == pytest.approx(120.0, abs=4 * best.errors[path])
 
 
+def test_causes_without_effect_on_the_measurement_do_not_count() -> None:
+    hidden = [{"material": {"n": 1.0, "k": 6.0}, "thickness_nm": 500.0}, *AR["layers"][:3]]
+    material, tolerances = coating(AR | {"layers": [AR["layers"][0], *hidden]}, 3.0)
+    path = "layers[0].thickness_nm"
+    result = diagnose(material, tolerances, [measured(material.vary({path: 101.0}), np.random.default_rng(5))], NOISE)
+    assert (result.verdict, result.suspects[0].name) == ("one cause", path)
+    assert result.material.get("layers[3].thickness_nm") == hidden[2]["thickness_nm"]
+
+
 def test_a_good_run_needs_no_cause() -> None:
     material, tolerances = coating(AR, 3.0)
     result = diagnose(material, tolerances, [measured(material, np.random.default_rng(2))], NOISE)

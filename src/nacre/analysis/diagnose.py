@@ -238,6 +238,10 @@ def diagnose(
             all_chi2,
         ),
     }
+    best_one = suspects[0]
+    gain = 0.5 * (best_one.chi2 + best_one.factor**2 - all_chi2 - float(factors @ factors))
+    if best_one.probability >= CERTAIN and gain < np.log(len(causes)):
+        del models["several causes"]  # the others, which the measurement does not show, explain nothing
     verdict = max(models, key=lambda name: models[name][0])
     is_far = verdict == "several causes" and float(np.max(np.abs(factors))) > FARTHEST
     if models[verdict][1] > likelihood.largest_chi2 or is_far:

@@ -102,7 +102,7 @@ class Bsdf:
     def angle_error(self, theta_rad: Array | float) -> Array:
         """Return the stated error of the tables' R and T at incidence `theta_rad` (> pi/2: from behind), or 0."""
         note = self.provenance.get("angle_table", {})
-        degrees = np.degrees(np.asarray(theta_rad, dtype=float))
+        degrees = np.round(np.degrees(np.asarray(theta_rad, dtype=float)), 9)
         largest = float(note.get("largest_error", 0.0))
         if "ranges" not in note:
             return np.full(degrees.shape, largest)
@@ -122,7 +122,7 @@ class Bsdf:
         """
         ranges = self.provenance.get("angle_table", {}).get("ranges", ())
         if theta_rad is not None:
-            degrees = np.degrees(theta_rad)
+            degrees = np.round(np.degrees(theta_rad), 9)
             own = {"ambient": degrees, "substrate": 180.0 - degrees}
             ranges = [r for r in ranges if np.any((own[r["side"]] >= r["from_deg"]) & (own[r["side"]] <= r["to_deg"]))]
         if not ranges or sum(r["to_deg"] - r["from_deg"] for r in ranges) < least_deg:

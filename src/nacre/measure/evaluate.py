@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from typing import Any, Protocol
 
@@ -72,7 +73,12 @@ def evaluate_with_error(
 def warn_of_table(bsdf: Bsdf, theta_rad: Array) -> None:
     """Warn of incidences `theta_rad` (> pi/2: from behind) at which the tables over angle are inexact."""
     if found := bsdf.error_ranges(theta_rad):
-        logger.warning("%s; the spectrum of a film's recipe is exact", found)
+        _warn_once(str(bsdf.provenance.get("source", "material")), found)
+
+
+@functools.lru_cache(maxsize=256)  # each message once per process
+def _warn_once(source: str, ranges: str) -> None:
+    logger.warning("%s: %s; the spectrum of a film's recipe is exact", source, ranges)
 
 
 def _facet_angles(wi: Array, wo: Array) -> Array:
