@@ -134,13 +134,19 @@ STOKES = {"p": (1.0, 1.0, 0.0, 0.0), "s": (1.0, -1.0, 0.0, 0.0), "both": (1.0, 0
           "mueller": (1.0, 0.0, 0.0, 0.0), "right": (1.0, 0.0, 0.0, 1.0), "left": (1.0, 0.0, 0.0, -1.0)}  # fmt: skip
 
 
-class Polarised(abc.ABC):
+class Polarised(Model):
     """A material whose spectra are known for circular light, as Mueller matrices, and from any azimuth."""
 
     @property
     def mixes_polarisations(self) -> bool:
         """Whether s light may be reflected as p light."""
         return False
+
+    def spectrum(
+        self, theta_rad: Array, wavelengths_nm: Array | None = None, polarisation: str = "both", seed: int = 0
+    ) -> Spectrum:
+        """Return `polarised_spectrum` for light from the azimuth 0."""
+        return self.polarised_spectrum(theta_rad, wavelengths_nm, polarisation, 0.0)
 
     @abc.abstractmethod
     def polarised_spectrum(
@@ -326,7 +332,7 @@ class ExpensiveMethod(abc.ABC):
         """Recipe changes, by path, that select the replacement explicitly; solution files contain them."""
 
 
-class Diffracting(Model, Polarised):
+class Diffracting(Polarised):
     """A periodic material, whose light leaves in orders.
 
     Attributes:
@@ -358,12 +364,6 @@ class Diffracting(Model, Polarised):
     def mixes_polarisations(self) -> bool:
         """Whether s light may be reflected as p light: the mirror of a grating, in conical incidence."""
         return self.has_mirror
-
-    def spectrum(
-        self, theta_rad: Array, wavelengths_nm: Array | None = None, polarisation: str = "both", seed: int = 0
-    ) -> Spectrum:
-        """Return `polarised_spectrum` for light from the azimuth 0."""
-        return self.polarised_spectrum(theta_rad, wavelengths_nm, polarisation)
 
     def polarised_spectrum(
         self,

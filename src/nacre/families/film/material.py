@@ -35,7 +35,7 @@ from nacre.core.arrays import Array, direction, take_uniform
 from nacre.core.errors import UnsupportedError
 from nacre.core.memory import check_memory
 from nacre.core.quadrature import gauss_legendre
-from nacre.families.contract import STOKES, Model, Polarised, Traits
+from nacre.families.contract import STOKES, Polarised, Traits
 from nacre.families.film.ridges import Ridges, remainder
 from nacre.light import default_wavelengths, delta_e_2000
 from nacre.light.tables import STEPS_NM
@@ -90,7 +90,7 @@ class FilmLayer:
 
 
 @dataclass(frozen=True)
-class Film(Model, Polarised):
+class Film(Polarised):
     """A stack of layers on a substrate, with a smooth, rough or ridged surface.
 
     A clear substrate (k < 1e-4 at all wavelengths) transmits; a substrate equal to the ambient makes a free film,
@@ -420,12 +420,6 @@ class Film(Model, Polarised):
         """
         reflected, passed = response.hemispherical[0:2] if response.flipped else response.hemispherical[2:4]
         return np.asarray(self.base_albedo * passed / (1.0 - self.base_albedo * np.clip(reflected, 0.0, 1.0 - passed)))
-
-    def spectrum(
-        self, theta_rad: Array, wavelengths_nm: Array | None = None, polarisation: str = "both", seed: int = 0
-    ) -> Spectrum:
-        """Return `polarised_spectrum` for light from the azimuth 0."""
-        return self.polarised_spectrum(theta_rad, wavelengths_nm, polarisation)
 
     def polarised_spectrum(
         self,
