@@ -143,6 +143,9 @@ def _on_nodes(power: Array, orders: Array, case: RidgeCase, along: float) -> Arr
     weight[np.arange(SINES), low] = 1.0 - (place - low)
     if len(sines) > 1:
         weight[np.arange(SINES), low + 1] = place - low
+    # an order's power falls with both cosines, beyond the last order too
+    cosines = np.sqrt(np.maximum(1.0 - sines**2, 0.0))
+    weight = np.sqrt(np.maximum(1.0 - nodes**2, 0.0))[:, None] * weight / cosines
     density = weight @ power[:, ::-1] @ weight.T / step
     density = 0.5 * (density + density.T)
     return np.asarray(0.5 * (density + density[::-1, ::-1]))
