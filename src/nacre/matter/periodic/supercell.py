@@ -96,6 +96,7 @@ def mean_array_factor(statistics: RidgeStatistics, sines: Array, sine_along: flo
     many = drawn_ridges(replace(statistics, count=SAMPLED), 0)
     aside = many.centres_nm - (np.arange(SAMPLED) + 0.5) * statistics.pitch_nm
     coherent = np.abs(_mean_phase(aside, many.heights_nm, sines, sine_along, wave)) ** 2
+    coherent = 0.5 * (coherent + coherent.T)  # shifts to both sides are equally likely
     order = np.arange(len(sines))
     is_of_pitch = (order[:, None] - order) % count == 0
     return np.asarray((1.0 - coherent) / count + coherent * is_of_pitch)
