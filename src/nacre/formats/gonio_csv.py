@@ -9,7 +9,7 @@ from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path
 from nacre.light import xyz_to_srgb_linear
-from nacre.readers.bsdf.gonio_table import read
+from nacre.readers.bsdf.gonio_table import read_gonio
 from nacre.readers.bsdf.samples import COLOURS, DEGREES
 from nacre.readers.measurement import Measurement, ReadOptions
 
@@ -70,7 +70,7 @@ def read_gonio_csv(path: str | Path) -> GonioData:
     Raises:
         NacreError: the file is invalid; names the line or the column.
     """
-    data, _ = gonio_data(read(Path(path), ReadOptions())[0])
+    data, _ = gonio_data(read_gonio(Path(path), ReadOptions())[0])
     return data
 
 

@@ -54,7 +54,7 @@ class Heading:
     is_btdf: bool = False
 
 
-def sniff(head: FileHead) -> float:
+def sniff_gonio(head: FileHead) -> float:
     """Recognise headings with a polar angle of both directions."""
     for cells in _heading_rows("\n".join(head.lines[:60])):
         known = heading(cells).place
@@ -128,7 +128,7 @@ def _name_and_unit(cell: str) -> tuple[str, str]:
     return "".join(c for c in "".join(words) if c.isalnum()), unit
 
 
-def read(path: Path, options: ReadOptions) -> list[Measurement]:
+def read_gonio(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read a table; missing cells become NaN, negative values are kept.
 
     Raises:

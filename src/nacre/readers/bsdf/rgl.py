@@ -319,12 +319,12 @@ def _fetch(tables: Array, x: Array, y: Array) -> Array:
     return interpolate(np.moveaxis(tables, 0, -1), (y * (rows - 1), x * (columns - 1)))
 
 
-def sniff(head: FileHead) -> float:
+def sniff_rgl(head: FileHead) -> float:
     """Recognise the magic number."""
     return CERTAIN if head.data.startswith(MAGIC) else 0.0
 
 
-def read(path: Path, options: ReadOptions) -> list[Measurement]:
+def read_rgl(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the measured direction pairs.
 
     Raises:

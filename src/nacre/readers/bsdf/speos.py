@@ -21,14 +21,14 @@ ROWS = ("specular", "lambertian", "gaussian", "gaussian_fwhm_x", "gaussian_fwhm_
 FIRST = "OPTIS - "
 
 
-def sniff(head: FileHead) -> float:
+def sniff_speos(head: FileHead) -> float:
     """Recognise the first line."""
     line = head.data[:200].lstrip(b"\xef\xbb\xbf").decode("latin-1").split("\n")[0].lower()
     known = ("scattering", "brdf", "bsdf", "coated")
     return CERTAIN if line.startswith("optis") and any(word in line for word in known) else 0.0
 
 
-def read(path: Path, options: ReadOptions) -> list[Measurement]:
+def read_speos(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read a text file of one of the kinds.
 
     Raises:

@@ -30,12 +30,12 @@ OBSERVER_BEHIND = re.compile(r"[\s/,]+(?:2|10)\b|19(?:31|64)")
 FACTOR_LIMIT = 1.1  # above the Y of any reflecting sample with a white of 1
 
 
-def sniff(head: FileHead) -> float:
+def sniff_colour_table(head: FileHead) -> float:
     """Return a confidence above that of a text table for headings of one of the three kinds."""
     return LIKELY + 0.1 if head.is_text and _start([line for line in head.lines if line.strip()]) is not None else 0.0
 
 
-def read(path: Path, options: ReadOptions) -> list[Measurement]:
+def read_colour_table(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the colours.
 
     Raises:

@@ -27,13 +27,13 @@ class Specification:
     step_nm: float | None = None
 
 
-def sniff(head: FileHead) -> float:
+def sniff_cxf(head: FileHead) -> float:
     """Return 1 for XML with an element CxF."""
     start = head.text[:2000]
     return CERTAIN if "<" in start and ("CxF>" in start or ":CxF" in start or "<CxF" in start) else 0.0
 
 
-def read(path: Path, options: ReadOptions) -> list[Measurement]:
+def read_cxf(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the objects, grouped by what they hold: names, colours and spectra under one specification.
 
     Raises:

@@ -19,7 +19,7 @@ _QUANTITIES = {
 LAMP = "the spectrum of a lamp: an illuminant, no reflectance"
 
 
-def sniff(head: FileHead) -> float:
+def sniff_lamp(head: FileHead) -> float:
     """Return 1 for the element IESTM2714, or for rows `380nm` below the keys of a spectrometer of lamps."""
     if "IESTM2714" in head.text[:3000]:
         return CERTAIN
@@ -27,7 +27,7 @@ def sniff(head: FileHead) -> float:
     return CERTAIN if rows >= 20 and _MAKERS.search(head.text) else 0.0
 
 
-def read(path: Path, options: ReadOptions) -> list[Measurement]:
+def read_lamp(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read wavelengths and relative power (`irradiance`), or the quantity that TM-27 states."""
     data = path.read_bytes()
     if b"IESTM2714" in data[:3000]:

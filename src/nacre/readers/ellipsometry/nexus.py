@@ -30,7 +30,7 @@ COLUMNS = ("sample/column_names", "data_collection/column_names")
 MUELLER = [f"m{i}{j}" for i in range(1, 5) for j in range(1, 5)]
 
 
-def sniff(head: FileHead) -> float:
+def sniff_nexus_ellipsometry(head: FileHead) -> float:
     """Return the confidence that a file is such a file."""
     if not head.data.startswith(MAGIC):
         return 0.0
@@ -54,7 +54,7 @@ def _text(entry: Any, path: str) -> str:
     return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
 
 
-def read(path: Path, options: ReadOptions) -> list[Measurement]:
+def read_nexus_ellipsometry(path: Path, options: ReadOptions) -> list[Measurement]:
     """Return one measurement per entry, angle by angle.
 
     Raises:

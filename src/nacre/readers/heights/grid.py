@@ -27,14 +27,14 @@ _SECTION = struct.Struct("<4si")
 _GRID = struct.Struct("<2i8d")
 
 
-def sniff(head: FileHead) -> float:
+def sniff_grid(head: FileHead) -> float:
     """Return 1 for the four beginnings."""
     is_text = _TEXT.match(head.text) or _ESRI.match(head.text)
     return CERTAIN if is_text or head.data[:4] in (b"DSBB", b"DSRB") else 0.0
 
 
 @reads
-def read(path: Path, options: ReadOptions) -> list[Measurement]:
+def read_grid(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; the unit is asked for, and holds for x and y too unless `pitch_um` states their distance."""
     data = path.read_bytes()
     layout = {b"DSAA": _surfer_text, b"DSBB": _surfer_6, b"DSRB": _surfer_7}.get(data[:4], _esri)

@@ -46,7 +46,7 @@ class Head:
     labels: tuple[str, ...] = ()
 
 
-def sniff(head: FileHead) -> float:
+def sniff_grams_spc(head: FileHead) -> float:
     """Return 0.6 if version, point count and types of the axes are plausible."""
     if len(head.data) < 288 or head.data[1] not in (NEW_LITTLE, NEW_BIG, OLD) or head.is_text:
         return 0.0
@@ -62,7 +62,7 @@ def sniff(head: FileHead) -> float:
     )
 
 
-def read(path: Path, options: ReadOptions) -> list[Measurement]:
+def read_grams_spc(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read all spectra of a file."""
     data = path.read_bytes()
     head = _head(data)

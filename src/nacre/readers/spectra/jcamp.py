@@ -35,13 +35,13 @@ class Block:
     ended: bool = False
 
 
-def sniff(head: FileHead) -> float:
+def sniff_jcamp(head: FileHead) -> float:
     """Return 1 if the first line is `##TITLE=`."""
     first = next((line for line in head.lines if line.strip()), "")
     return CERTAIN if re.match(r"\s*##\s*TITLE\s*=", first, re.IGNORECASE) else 0.0
 
 
-def read(path: Path, options: ReadOptions) -> list[Measurement]:
+def read_jcamp(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read a file's spectra; three linked blocks of counts give (sample - dark) / (reference - dark)."""
     found = [block for block in _blocks(common.read_text(path).lines) if block.table]
     if not found:

@@ -14,12 +14,12 @@ from nacre.readers.spectra.common import Label, Notes
 _SECTION = re.compile(r"^\[(?:STANDARD|BATCH)_DATA[^\]]*\]", re.IGNORECASE)
 
 
-def sniff(head: FileHead) -> float:
+def sniff_qtx(head: FileHead) -> float:
     """Return 1 if a first section is named as in QTX."""
     return CERTAIN if any(_SECTION.match(line.strip()) for line in head.lines[:5]) else 0.0
 
 
-def read(path: Path, options: ReadOptions) -> list[Measurement]:
+def read_qtx(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one spectrum per standard and batch, in per cent.
 
     Raises:

@@ -17,7 +17,7 @@ POLARISATIONS = {"u": "unpolarised", "p": "p", "s": "s"}
 QUANTITIES = {"R": "reflectance", "T": "transmittance"}
 
 
-def sniff(head: FileHead) -> float:
+def sniff_woollam_intensity(head: FileHead) -> float:
     """Return 1 if the first rows of data are led by uR, uT, ...; Psi and Delta rows make it another format."""
     lines = [line for line in head.lines if line.strip()]
     if any(_OTHER_ROW.match(line) for line in lines):
@@ -25,7 +25,7 @@ def sniff(head: FileHead) -> float:
     return CERTAIN if sum(bool(_ROW.match(line)) for line in lines[:20]) >= 2 else 0.0
 
 
-def read(path: Path, options: ReadOptions) -> list[Measurement]:
+def read_woollam_intensity(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one spectrum for each quantity, polarisation and angle: wavelength, angle, value, standard error."""
     text = common.read_text(path)
     first = next(place for place, line in enumerate(text.lines) if _ROW.match(line))
