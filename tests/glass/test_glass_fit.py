@@ -10,7 +10,7 @@ import pytest
 import nacre
 from nacre.analysis.fit import CORRECTION_SEEDS, CORRECTIONS, Measured, fit_parameters, run_fit
 from nacre.families.glass import material as glass_material
-from nacre.formats.gonio_csv import GonioData
+from nacre.formats.measured_lobes import GonioData
 from nacre.studio.appearance import appearances
 
 WAVES = np.arange(400.0, 701.0, 40.0)

@@ -15,7 +15,7 @@ from nacre.core.errors import NacreError, did_you_mean
 from nacre.families.registry import family_names, family_spec
 from nacre.matter.indices.anisotropic_spec import AnisotropicSpec
 from nacre.matter.indices.spec import IndexSpec
-from nacre.readers.file_spec import FileSpec
+from nacre.readers.curves import FileSpec
 from nacre.recipe.keys import Key, find_key, keys_of, one_sentence, shared_tables, tables_below, toml_lines
 from nacre.recipe.model import RecipeModel
 from nacre.recipe.path_tables import StudySpec

@@ -13,7 +13,7 @@ import numpy as np
 from nacre.cli import common
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path, check_output, check_writable, plain, short_name, why_unreadable, write_text
-from nacre.formats.export_formats import EXPORTS, FOLDERS, export_remarks
+from nacre.formats.bsdf_tables import EXPORTS, FOLDERS, export_remarks
 
 PLOT_KINDS = (
     "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",
@@ -375,7 +375,7 @@ def export(
 ) -> None:  # fmt: skip
     """Write RECIPE in the format of another program and list the properties that it cannot hold."""
     from nacre.analysis.import_export import export_material
-    from nacre.formats.lut.write import check_folder
+    from nacre.formats.lut import check_folder
 
     path = Path(output) if output else Path(f"{short_name(recipe)}{EXPORTS[target]}")
     options: dict[str, Any] = {"angle_step_deg": angle_step_deg, "wavelength_nm": wavelength_nm}

@@ -26,8 +26,8 @@ from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.families import contract
-from nacre.formats.lobes import is_isotropic
-from nacre.formats.lut.table import lobe_directions, lobe_weight
+from nacre.formats.bsdf_tables import is_isotropic
+from nacre.formats.lut import lobe_directions, lobe_weight
 from nacre.material.material import Material
 from nacre.matter.drawings import DrawingRequest, HeightMap
 from nacre.matter.indices.constant import OpticalConstant

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from nacre.core.errors import NacreError
 from nacre.families.contract import OwnFormats, fabrications
-from nacre.formats.export_formats import EXPORTS, FAMILY_FORMATS, FOLDERS, export_remarks
+from nacre.formats.bsdf_tables import EXPORTS, FAMILY_FORMATS, FOLDERS, export_remarks
 from nacre.formats.fabrication import SUFFIXES
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES

@@ -21,7 +21,7 @@ from starlette.websockets import WebSocket
 from nacre._version import __version__
 from nacre.core.errors import NacreError
 from nacre.families.registry import family_names
-from nacre.formats.lut.write import template
+from nacre.formats.lut import template
 from nacre.material.examples import examples
 from nacre.matter.indices import library
 from nacre.studio import folder

@@ -34,7 +34,7 @@ from nacre.light import default_wavelengths
 from nacre.matter.drawings import Drawer
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec, ambient_in
-from nacre.readers.file_spec import FileSpec
+from nacre.readers.curves import FileSpec
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 LEAST_COVERAGE = 1e-4

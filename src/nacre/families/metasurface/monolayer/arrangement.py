@@ -21,8 +21,7 @@ from nacre.core.jit import compiled
 from nacre.core.memory import check_memory
 from nacre.families.metasurface.monolayer.micrograph import find_particles, grey_levels
 from nacre.families.metasurface.monolayer.structure import RANGE_IN_DIAMETERS, Structure
-from nacre.readers.curves import Q_PER_UM, STRUCTURE, X_UM, Y_UM, recipe_curve
-from nacre.readers.file_spec import FileSpec
+from nacre.readers.curves import Q_PER_UM, STRUCTURE, X_UM, Y_UM, FileSpec, recipe_curve
 from nacre.recipe.model import RecipeContext
 
 RSA_LIMIT = 0.535  # random sequential addition jams at 0.547
