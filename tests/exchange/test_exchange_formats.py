@@ -198,7 +198,7 @@ def test_a_zemax_table_round_trips_and_looks_where_its_format_says(tmp_path: Pat
 
 
 def test_a_zemax_table_integrates_to_the_albedo(film: nacre.Bsdf) -> None:
-    from nacre.measure.spectrum import directional_hemispherical
+    from nacre.measure.evaluate import directional_hemispherical
 
     table = zemax_table(film, 550.0, step_deg=5.0)
     at = int(np.argmin(abs(film.wavelengths_nm - 550.0)))
