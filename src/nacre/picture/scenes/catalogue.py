@@ -247,7 +247,7 @@ class Scene:
     name: str
     parts: Parts
     view: View
-    mesh: Backdrop = "sweep"
+    backdrop: Backdrop = "sweep"
     light: str = "studio"
     max_depth: int = 6
     size: tuple[int, int] = (640, 640)

@@ -16,7 +16,6 @@ from nacre.core.arrays import Array, angles_deg
 from nacre.core.errors import NacreError
 from nacre.readers.bsdf import gonio_table
 from nacre.readers.bsdf.gonio_table import axis, measurement, numbers, pairs_of, read_bytes
-from nacre.readers.bsdf.gonio_table import measurement as as_measurement
 from nacre.readers.bsdf.ray_tracers import scatter_direction
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
@@ -66,7 +65,7 @@ def read_astm_e1392(path: Path, options: ReadOptions) -> list[Measurement]:
     metadata = {"scatter": "btdf" if any("btdf" in n.lower() for n in names[4:]) else "brdf", "vars": names}
     head = [line.strip() for line in lines[:start] if line.strip()]
     return [
-        as_measurement(path, "astm_e1392", angles, waves, table[:, 4:], metadata | {"head": head}, colour=colour,
+        measurement(path, "astm_e1392", angles, waves, table[:, 4:], metadata | {"head": head}, colour=colour,
                        assumed=[*assumed, *notes])
     ]  # fmt: skip
 
@@ -180,7 +179,7 @@ def _block_ssdd(path: Path, entries: dict[str, str], data: bytes, place: int) ->
         table[f"specular_{quantity}"] = values.ravel()
         return Measurement(path, "ssdd", "bsdf", table, name, metadata), place
     angles = _angles(entries.get("PARAM_TYPE", "").lower(), grids, entries, axes[0])
-    return as_measurement(path, "ssdd", angles, waves, values, metadata, name=name, colour=colour), place
+    return measurement(path, "ssdd", angles, waves, values, metadata, name=name, colour=colour), place
 
 
 def _values(mode: str, data: bytes, place: int, count: int) -> tuple[Array, int]:
