@@ -15,7 +15,15 @@ from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.film.supercells import SupercellFilm
 from nacre.light import delta_e_2000
-from nacre.matter.periodic.ridge_tables import ALONG, LEAST_DRAWS, controlled, ridge_table, solved_wavelengths
+from nacre.matter.periodic.ridge_tables import (
+    ALONG,
+    LEAST_DRAWS,
+    RidgeCase,
+    controlled,
+    depth,
+    ridge_table,
+    solved_wavelengths,
+)
 from nacre.matter.periodic.solve import solve
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Rectangle
 from nacre.matter.periodic.supercell import (
@@ -106,10 +114,30 @@ def test_ranges_share_their_solved_wavelengths() -> None:
 def test_a_table_keeps_what_was_solved() -> None:
     lam = np.array([450.0, 500.0, 550.0])
     solved = np.random.default_rng(0).uniform(0.0, 1.0, (len(ALONG), 5, 5, 3))
-    table = ridge_table(solved, lam, 21)
+    table = ridge_table(solved, cases(lam, WING), 21)
     assert table[0] == pytest.approx(solved[0])
     assert table[10] == pytest.approx(solved[1])  # c = 0.5
     assert table.min() >= 0.0
+
+
+def cases(lam: Any, wing: RidgeStatistics, draws: int = 1) -> list[RidgeCase]:
+    return [RidgeCase(wing, tuple(LAYERS), tuple(INDICES), 1.0, CUTICLE, float(at), draws) for at in lam]
+
+
+def test_inclined_light_has_the_band_at_equal_phases() -> None:
+    """A response of the layers' phase alone is exact between the solved directions."""
+    lam = np.arange(380.0, 741.0, 10.0)
+    every = cases(lam, WING)
+    paths = [70.0 * np.sqrt(1.56**2 - c**2) * 2.0 + 155.0 * np.sqrt(1.0 - c**2) for c in (0.0, 0.6)]
+    assert depth(every[0], np.array([0.0, 0.6])) == pytest.approx([1.0, paths[1] / paths[0]])
+
+    def band(c: float) -> Any:
+        return 1.0 + np.cos(2.0 * np.pi * 500.0 * depth(every[0], np.array(c)) / lam)
+
+    table = ridge_table(np.stack([band(c)[None, None] for c in ALONG]), every, 21)
+    inner = (lam > 430.0) & (lam < 720.0)  # others need solutions beyond the ends
+    for node in (4, 8, 12, 14):
+        assert table[node, 0, 0, inner] == pytest.approx(band(0.05 * node)[inner], abs=0.01)
 
 
 def test_the_lobe_is_reciprocal_and_keeps_energy() -> None:

@@ -27,7 +27,7 @@ from nacre.matter.periodic.ridge_tables import (
 from nacre.matter.periodic.structure import NotConvergedError
 from nacre.matter.periodic.supercell import RidgeStatistics
 
-ALONG_NODES = 13
+ALONG_NODES = 21  # the solved directions are among them
 VIEWS_DEG, HALF_VIEW_DEG = (0.0, 15.0, 30.0, 45.0, 60.0), 7.5  # at which the colour error is stated
 COLOUR_NM = 400.0, 700.0  # range without which a colour has no meaning
 LARGEST_ERROR = 0.1  # share of the reflected light
@@ -71,7 +71,7 @@ class SupercellFilm(Film):
         found = [[solved_case(case, along) for case in cases] for along in ALONG]
         solved = np.stack([np.stack([mean for mean, _ in each], axis=-1) for each in found])
         rows = np.stack([normal for _, normal in found[0]], axis=-1)
-        table = ridge_table(solved, grid, ALONG_NODES)
+        table = ridge_table(solved, cases, ALONG_NODES)
         place = np.interp(lam, grid, np.arange(len(grid)))
         low = np.minimum(place.astype(int), max(len(grid) - 2, 0))
         high, part = np.minimum(low + 1, len(grid) - 1), place - low

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -20,9 +21,10 @@ from nacre.matter.periodic.supercell import (
 from nacre.matter.periodic.types import Array
 
 VERSION = 2
-ALONG = 0.0, 0.5, 0.85  # components along the ridges that are solved
+ALONG = 0.0, 0.5, 0.65, 0.75, 0.85  # components along the ridges that are solved
 SINES = 41  # nodes in a and b
 STEP_NM = 20.0  # longest step of the solved wavelengths
+SHALLOW = 0.1  # least relative depth of layers
 BEYOND = 0.05  # relative distance outside the solved range from which a solution loses weight
 KEPT = 192  # solutions held in memory
 LEAST_DRAWS = 6  # for a regression
@@ -151,22 +153,23 @@ def _on_nodes(power: Array, orders: Array, case: RidgeCase, along: float) -> Arr
     return np.asarray(0.5 * (density + density[::-1, ::-1]))
 
 
-def ridge_table(solved: Array, wavelengths_nm: Array, nodes: int) -> Array:
+def ridge_table(solved: Array, cases: Sequence[RidgeCase], nodes: int) -> Array:
     """Return D `[c, a, b, wavelength]` over uniform nodes in c from 0 to 1.
 
-    Directions with equal wavelength over sqrt(1 - c^2) have equal phases across the layers. D is interpolated linearly
-    in c^2 between solutions at this ratio.
+    Directions with equal ratio of `depth` and wavelength have equal phases of the layers. D is interpolated linearly in
+    c^2 between solutions at this ratio.
 
     Args:
         solved: `[along, a, b, wavelength]` at `ALONG`.
+        cases: of the wavelengths.
     """
-    grid = np.asarray(wavelengths_nm, dtype=float)
+    grid, middle = np.array([case.wavelength_nm for case in cases]), cases[len(cases) // 2]
     own = np.array(ALONG)
-    ratios = grid[None] / np.sqrt(1.0 - own**2)[:, None]  # [along, wavelength]
+    ratios = grid[None] / depth(middle, own)[:, None]  # [along, wavelength]
     flat = solved.reshape(len(own), -1, len(grid))
     table = np.empty((nodes, *solved.shape[1:]))
     for k, c in enumerate(np.linspace(0.0, 1.0, nodes)):
-        wanted = grid / np.sqrt(1.0 - min(c, 0.97) ** 2)
+        wanted = grid / depth(middle, np.array(c))
         at = np.interp(c**2, own**2, np.arange(len(own)))
         low = min(int(at), len(own) - 2)
         parts = [_at_ratio(flat[i], ratios[i], wanted) for i in (low, low + 1)]
@@ -175,6 +178,17 @@ def ridge_table(solved: Array, wavelengths_nm: Array, nodes: int) -> Array:
         lower, upper = (1.0 - (at - low)) * near, (at - low) * far
         table[k] = ((parts[0] * lower + parts[1] * upper) / (lower + upper)).reshape(solved.shape[1:])
     return table
+
+
+def depth(case: RidgeCase, along: Array) -> Array:
+    """Return the optical path down through the layers over that of light along the normal.
+
+    Args:
+        along: component of the direction along the ridges.
+    """
+    index, layers = np.array(case.layer_index).real[:, None], np.array(case.layers_nm)[:, None]
+    paths = np.sum(layers * np.sqrt(np.maximum(index**2 - (case.cover * along.ravel()) ** 2, 0.0)), axis=0)
+    return np.asarray(np.maximum(paths / np.maximum(np.sum(layers * index), 1e-9), SHALLOW)).reshape(along.shape)
 
 
 def _beyond(ratios: Array, wanted: Array) -> Array:
