@@ -24,7 +24,7 @@ from nacre.cli.design import TARGETS
 from nacre.core.errors import NacreError
 from nacre.families.contract import Model
 from nacre.families.registry import FAMILIES, family_names, family_spec
-from nacre.formats.export_formats import EXPORTS
+from nacre.formats.bsdf_tables import EXPORTS
 from nacre.recipe.toml import dump_toml
 
 TWO_NM = np.array([400.0, 700.0])  # the least that a colour takes

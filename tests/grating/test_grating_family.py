@@ -232,7 +232,7 @@ def test_a_table_of_heights_spans_the_period(tmp_path: Path, span: float, is_all
 
 
 def test_tables_of_directions_state_that_they_miss_narrow_orders() -> None:
-    from nacre.formats.lobes import lost_parts
+    from nacre.formats.bsdf_tables import lost_parts
 
     found = nacre.material(compact_disc()).bsdf(np.array([550.0]))
     flat = nacre.material({"family": "film", "substrate": "Al"}).bsdf(np.array([550.0]))
