@@ -9,7 +9,7 @@ import pydantic
 
 from nacre.measure.texture import QUANTITY_NAMES, Instrument
 from nacre.optimise.relief.target import TargetTable
-from nacre.readers.file_spec import FileSpec
+from nacre.readers.curves import FileSpec
 from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeModel
 from nacre.recipe.path_tables import GeometrySpec, ParameterSpec, ToleranceSpec

@@ -32,7 +32,7 @@ from nacre.optimise.image.pixels import screen_rgb, srgb_lab, write_pixels
 from nacre.optimise.solutions import Design, DesignProgress, Solution, claim, clear_solutions, conclude, write_recipe
 from nacre.optimise.task import DesignTask
 from nacre.optimise.thin_film.adapter import interrupt_flag
-from nacre.plot.html import DPI, data_uri
+from nacre.plot.style import DPI, data_uri
 
 if TYPE_CHECKING:
     from nacre.plot import Figure
