@@ -52,8 +52,8 @@ def measure(material: Any, spp: int, repeats: int) -> tuple[float, float, np.nda
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark; 0 if the means agree."""
-    read = parser(__doc__, repeats=3)
-    read.add_argument("--spp", type=int, default=64, help="samples a pixel")
+    read = parser(__doc__, repeats=2)
+    read.add_argument("--spp", type=int, default=16, help="samples a pixel")
     read.add_argument("--variants", default="cuda_ad_spectral,llvm_ad_spectral", help="Mitsuba variants, by commas")
     read.add_argument("--only", default=",".join(MATERIALS), help="materials, by commas")
     options = read.parse_args(arguments)
