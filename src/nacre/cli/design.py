@@ -45,7 +45,7 @@ def design(
     """
     import os
 
-    from nacre.optimise.run import run
+    from nacre.optimise.run import read_target, run
     from nacre.optimise.solutions import NEED_BYTES
 
     name = Path(target).stem
@@ -54,13 +54,13 @@ def design(
         check_writable(folder)
     check_room(folder, NEED_BYTES)
     if labs is not None:
-        _design_many(target, labs, folder, resume, as_json, workers)
+        _design_many(read_target(target), labs, folder, resume, as_json, workers)
         return
     if workers.cluster is not None or workers.security is not None:
         raise NacreError("--cluster: one design runs on this machine; a cluster serves --many")
     jobs = os.environ.get("NACRE_JOBS")
     with _Screen() as screen:
-        result = run(target, folder, resume, screen.show, int(jobs) if jobs else None)
+        result = run(read_target(target), folder, resume, screen.show, int(jobs) if jobs else None)
     if as_json:
         click.echo(json.dumps(result.summary, default=str))
     if not as_json:
@@ -70,7 +70,7 @@ def design(
         raise KeyboardInterrupt
 
 
-def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bool, workers: Workers) -> None:
+def _design_many(target: Any, labs: str, folder: Path, resume: bool, as_json: bool, workers: Workers) -> None:
     """Design for each row of a CSV and print the results."""
     from nacre.optimise.batch import SUMMARY, TABLE, design_batch
 

@@ -15,7 +15,7 @@ import numpy as np
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import read_text, write_text
 from nacre.optimise.problem import Budget, Changes, Result, Search
-from nacre.optimise.solutions import Design, DesignProgress, claim, write_summary
+from nacre.optimise.solutions import Design, DesignProgress, Solution, claim, write_summary
 
 STATE = "search.json"
 WRITE_INTERVAL_S = 2.0
@@ -98,20 +98,21 @@ class DesignFolder(abc.ABC):
         search: the method.
         checkpointer: of the search state.
         seconds: time limit.
+        jobs: threads of a search that uses several; default: all cores.
     """
 
     search: Search
 
     def __init__(
         self,
-        folder: Path,
         checkpointer: Checkpointer,
         begun: float,
         seconds: float,
         progress: Callable[[DesignProgress], None] | None,
+        jobs: int | None,
     ) -> None:
-        self.folder, self.checkpointer, self.begun, self.seconds = folder, checkpointer, begun, seconds
-        self._progress, self._written = progress, Changes()
+        self.folder, self.checkpointer, self.begun, self.seconds = checkpointer.folder, checkpointer, begun, seconds
+        self.jobs, self._progress, self._written = jobs, progress, Changes()
 
     @abc.abstractmethod
     def budget(self) -> Budget:
@@ -124,6 +125,26 @@ class DesignFolder(abc.ABC):
     @abc.abstractmethod
     def finish(self, result: Result) -> Design:
         """Evaluate the solutions with the reference model, write them and the report."""
+
+    @abc.abstractmethod
+    def evaluated(self, changes: Changes) -> Solution | None:
+        """Return a solution evaluated with the reference model, without its files; None if that fails."""
+
+    def design(self, source: str) -> Design:
+        """Search, write the checkpoint, and finish.
+
+        Raises:
+            KeyboardInterrupt: before there was a solution.
+            RecipeError: all candidates fail.
+        """
+        result = self.search.run(self.budget(), self.update, self.checkpointer.solutions)
+        if not result.solutions and result.status == "interrupted":
+            raise KeyboardInterrupt
+        if not result.solutions:
+            raise RecipeError(f"{source}: the recipe cannot be computed anywhere in its bounds")
+        claim(self.folder)
+        self.save([changes for _, changes in result.solutions])
+        return self.finish(result)
 
     @property
     def spent_s(self) -> float:

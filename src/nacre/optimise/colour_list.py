@@ -197,7 +197,7 @@ def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, ligh
     name = next((i for i, cell in enumerate(heading) if any(each.quantity == "name" for each in meanings(cell))), None)
     names = [row[name] if name is not None else "" for _, row in lines[1:]]
     data = {"srgb": np.array([srgb_of_hex(path, f"#{each}") for each in digits])}
-    metadata = {"illuminant": light[0], "observer": light[1], "names": names}
+    metadata = {"names": names}
     _, lab = _adapted(path, [Measurement(path, "table", "colours", data, "", metadata)], light)
     return [ColourRow(one, np.repeat(each[None], targets, axis=0)) for one, each in zip(names, lab, strict=True)]
 
