@@ -333,6 +333,7 @@ def _print_curve(beside: Path) -> None:
 @click.argument("targets", nargs=-1, required=True, metavar="TARGET.toml...")
 @click.option("-o", "output", default=None, metavar="FOLDER",
               help="Default: the name of the target; of several targets it holds a folder each.")  # fmt: skip
+@click.option("--resume", is_flag=True, help="Resume a stopped run of the same target.")
 @click.option("--batch", default=None, metavar="COLOURS.csv",
               help="Correct a batch with these colours (geometry, L*, a*, b*) by additions; needs --made.")  # fmt: skip
 @click.option("--made", default=None, metavar="FOLDER", help="Formulation that the batch was made by.")
@@ -341,7 +342,8 @@ def _print_curve(beside: Path) -> None:
 @common.cache_option
 @common.jobs_option
 def formulate(
-    targets: tuple[str, ...], output: str | None, batch: str | None, made: str | None, answer: int, as_json: bool
+    targets: tuple[str, ...], output: str | None, resume: bool, batch: str | None, made: str | None, answer: int,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Choose pigments, a dye and concentrations from a library for the measured colours of each TARGET."""
     from nacre.core.files import check_writable
@@ -372,6 +374,7 @@ def formulate(
             task,
             folder,
             lambda done, total, best: common.note(f"{done} of {total}: rms {best:.3g}") if done == total else None,
+            resume,
         )
         documents.append(formulation_document(found))
         if not as_json:

@@ -15,7 +15,7 @@ from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import check_room, output_folder, read_text
 from nacre.families.contract import is_direct
-from nacre.optimise.checkpoint import Checkpointer, DesignFolder
+from nacre.optimise.checkpoint import Checkpointer, SolvableFolder
 from nacre.optimise.evaluation import evaluate, objective, rank
 from nacre.optimise.methods import surrogate
 from nacre.optimise.methods.least_squares import LeastSquaresSearch
@@ -132,7 +132,7 @@ def search_of(
     begun: float | None = None,
     progress: Callable[[DesignProgress], None] | None = None,
     jobs: int | None = None,
-) -> DesignFolder:
+) -> SolvableFolder:
     """Return the search of a task at work, in the folder of its checkpoint; see `run`."""
     begun = time.monotonic() if begun is None else begun
     return SEARCHES[type(task)](task, checkpointer, begun, progress, jobs)
@@ -196,7 +196,7 @@ def budget_of(task: DesignTask, search: Search, spent_s: float = 0.0) -> Budget:
     return Budget(spec.evaluations or search.default_evaluations, seconds, reserved_s)
 
 
-class RecipeFolder(DesignFolder):
+class RecipeFolder(SolvableFolder):
     """Design of recipe parameters or of a stack at work."""
 
     def __init__(
@@ -232,7 +232,7 @@ class RecipeFolder(DesignFolder):
         return _finish(self.task, result, self._previous_best, self)
 
 
-SEARCHES: dict[type, Callable[..., DesignFolder]] = {DesignTask: RecipeFolder, ReliefTask: ReliefFolder}
+SEARCHES: dict[type, Callable[..., SolvableFolder]] = {DesignTask: RecipeFolder, ReliefTask: ReliefFolder}
 
 
 def _previous_best(folder: Path) -> dict[str, Any] | None:

@@ -25,7 +25,7 @@ from nacre.families.relief.surface import Tile, assess, blur_matrix, slopes
 from nacre.light import delta_e_2000, srgb_linear_to_xyz, xyz_to_lab
 from nacre.material.material import Material, load
 from nacre.measure.geometry import aspecular_pairs
-from nacre.optimise.checkpoint import Checkpointer, DesignFolder
+from nacre.optimise.checkpoint import Checkpointer, SolvableFolder
 from nacre.optimise.evaluation import TargetResult, geometries_of, results_of
 from nacre.optimise.measurement import evaluation_wavelengths, simulate_measurement
 from nacre.optimise.problem import Budget, Changes, Result
@@ -53,7 +53,7 @@ FILES = [RECIPE, HEIGHT_FILE, PREVIEW]
 STATUS = {"interrupted": "interrupted", "time": "time limit"}  # otherwise done
 
 
-class ReliefFolder(DesignFolder):
+class ReliefFolder(SolvableFolder):
     """Relief design at work; its folder holds heights, recipe and preview from the first seconds on.
 
     Raises:
