@@ -135,13 +135,13 @@ def _file_rows(
         raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
     try:
         text = decode(data)
-        named_hex = _hex_rows(path, list(_cells(text)), targets, light or DEFAULT_LIGHT)
+        named_hex = _hex_rows(path, list(cells_of(text)), targets, light or DEFAULT_LIGHT)
         if len(named_hex) > MAX_ROWS:
             raise NacreError(f"{path}: contains {len(named_hex)} rows; at most {MAX_ROWS} are allowed")
         if named_hex:
             return named_hex
         table = _headed(path, text)
-        lines = [] if table is not None else list(_cells(text))
+        lines = [] if table is not None else list(cells_of(text))
     except (UnicodeDecodeError, csv.Error):
         raise NacreError(f"{path}: is not a CSV of L, a, b") from None
     count = len(lines) if table is None else len(table.rows)
@@ -373,7 +373,7 @@ def _column(table: TextTable, place: int) -> Array:
     return np.array(found)
 
 
-def _cells(text: str) -> Iterator[tuple[int, list[str]]]:
+def cells_of(text: str) -> Iterator[tuple[int, list[str]]]:
     """Yield line number and cells for each line that is neither empty nor a comment."""
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
     lines = [(number, line) for number, line in lines if line and (line[0] != "#" or _is_named_row(line))]
