@@ -20,8 +20,19 @@ from nacre.families.pearl.flake_texture import visible_normals
 from nacre.material.material import as_material
 from nacre.measure import texture as texture_module
 from nacre.measure.evaluate import evaluate_with_error
-from nacre.measure.graininess import DiffuseArea, graininess_patch, graininess_statistics, two_point_moments
-from nacre.measure.sparkle import Area, Pixels, measure_image, overlap, sparkle_patch, sparkle_statistics, uniform_part
+from nacre.measure.sparkle import (
+    Area,
+    DiffuseArea,
+    Pixels,
+    graininess_patch,
+    graininess_statistics,
+    measure_image,
+    overlap,
+    sparkle_patch,
+    sparkle_statistics,
+    two_point_moments,
+    uniform_part,
+)
 from nacre.measure.texture import Instrument, calibrate, measure_texture
 
 PIXELS = Pixels(pixel_um=40.0, field_mm=20.0, threshold=1.0, dark=0.01)

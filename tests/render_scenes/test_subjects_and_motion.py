@@ -14,9 +14,9 @@ import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.picture.images import read_provenance
+from nacre.picture.picture import BEAM_DEG, screen_directions
 from nacre.picture.scenes.catalogue import SCENES, SHAPES
 from nacre.picture.scenes.subjects import read_mesh, stand_on_floor, subject_parts
-from nacre.picture.screen import BEAM_DEG, screen_directions
 from nacre.picture.shapes.mesh import Mesh, merge, revolve
 from nacre.render import animation
 
@@ -401,7 +401,7 @@ def test_a_matt_tile_throws_the_fourth_power_of_the_cosine(grey: Any) -> None:
 
 
 def test_the_pattern_turns_on_the_screen_and_tips_with_the_tile() -> None:
-    from nacre.picture.screen import beam_direction, turned_directions
+    from nacre.picture.picture import beam_direction, turned_directions
 
     for turn, tip in ((0.0, 0.0), (90.0, 0.0), (30.0, 20.0)):
         d, _, lamp = turned_directions((51, 51), turn, tip)
@@ -430,7 +430,7 @@ def test_a_relief_moves_on_the_screen(tmp_path: Path) -> None:
 
 def test_the_screen_by_arrays_equals_the_screen_by_plugin() -> None:
     from nacre.device.variant import use_variant
-    from nacre.picture.screen import beam_direction, evaluate_arrays, evaluate_plugin
+    from nacre.picture.picture import beam_direction, evaluate_arrays, evaluate_plugin
 
     recipe = {
         "family": "film",

@@ -23,12 +23,11 @@ from nacre.picture.lights.environments import directions
 from nacre.picture.scenes.subjects import read_mesh
 from nacre.picture.shapes.mesh import Mesh, parametric
 from nacre.recipe.toml import parse_toml
-from nacre.studio import objects, routes
+from nacre.studio import objects, server
 from nacre.studio.folder import OpenedFolder
 from nacre.studio.measured import computed_psi_delta
 from nacre.studio.objects import OBJECTS, MeshStore, simplified
-from nacre.studio.security import HEADER
-from nacre.studio.server import make_app
+from nacre.studio.server import HEADER, make_app
 from nacre.studio.surroundings import ALPHAS, GREY, LAYERS, ROWS, without_lamp
 
 PORT, TOKEN = 8125, "a-token-for-the-tests"
@@ -158,7 +157,7 @@ def test_a_mesh_that_cannot_be_read_is_one_line(client: TestClient, name: str, c
 
 
 def test_a_large_mesh_is_refused(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(routes, "MAX_UPLOAD", 100)
+    monkeypatch.setattr(server, "MAX_UPLOAD", 100)
     answer = client.post("/api/mesh?name=roof.obj", content=ROOF.encode())
     assert answer.status_code == 422 and "MiB" in answer.json()["error"]
     assert client.post("/api/mesh?name=roof.obj&up=w", content=b"v 0 0 0").status_code == 422

@@ -11,7 +11,7 @@ from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.families.contract import DirectEvaluation, is_direct, search_model
-from nacre.formats.gonio_csv import COLUMNS, GonioData, gonio_data
+from nacre.formats.measured_lobes import COLUMNS, GonioData, gonio_data
 from nacre.material.material import Material
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.table import chosen_block

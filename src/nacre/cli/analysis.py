@@ -449,12 +449,3 @@ def _csv(wavelengths_nm: np.ndarray, angles_deg: np.ndarray, columns: dict[str, 
             values = ",".join(f"{value[a, w]:.9g}" for value in columns.values())
             lines.append(f"{wavelength:.9g},{angle:.9g},{values}")
     return "\n".join(lines) + "\n"
-
-
-commands: dict[str, click.Command] = {
-    "sweep": sweep,
-    "report": report,
-    "tolerance": tolerance,
-    "runsheet": runsheet,
-    "ellipsometry": ellipsometry,
-}

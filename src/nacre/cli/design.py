@@ -434,6 +434,3 @@ def _rematch(task: Any, batch: str, made: Path, answer: int, as_json: bool) -> N
         click.echo(f"add {name}: {1000 * volume:.3g} ml per litre of dry batch")
     click.echo(f"mean dE00 {found.de00_before.mean():.2f} becomes {found.de00_after.mean():.2f}; the additions cost "
                f"{found.cost_per_kg_of_batch:.3f} per kg of the batch")  # fmt: skip
-
-
-commands: dict[str, click.Command] = {"design": design, "fabricate": fabricate, "gamut": gamut, "formulate": formulate}

@@ -256,6 +256,3 @@ def _note_remarks(part: Any) -> None:
 def _noise(part: Any, noise: float, lab_noise: float, texture_percent: float) -> Any:
     """Return the standard deviation of one observation, or those of its values."""
     return {"colours": lab_noise, "texture": 0.01 * texture_percent * part.values}.get(part.kind, noise)
-
-
-commands: dict[str, click.Command] = {"fit": fit, "diagnose": diagnose}

@@ -20,9 +20,8 @@ from nacre.light import lch_to_lab
 from nacre.optimise.targets import plausible
 from nacre.readers.colours.lab import check_scale, named_lab
 from nacre.readers.columns import knows
-from nacre.readers.headings import Meaning, meanings
+from nacre.readers.headings import Meaning, light_above, meanings
 from nacre.readers.measurement import Measurement
-from nacre.readers.preamble import light_above
 from nacre.readers.registry import POSSIBLE, open_file, recognise
 from nacre.readers.table import srgb_of_hex
 from nacre.readers.text_table import TextTable, decode, find_delimiter, parse_tables, split

@@ -121,7 +121,7 @@ def run(
     with output_folder(folder):
         if task.image_kind:
             module, name = IMAGE_DESIGNS[task.image_kind]
-            found: Design = getattr(importlib.import_module(module), name)(task, folder, begun, progress)
+            found: Design = getattr(importlib.import_module(module), name)(task, checkpointer, begun, progress)
             return found
         return search_of(task, checkpointer, begun, progress, jobs).design(task.context.source)
 

@@ -21,8 +21,7 @@ from nacre.light import ILLUMINANTS, delta_e_2000
 from nacre.recipe.toml import parse_toml
 from nacre.studio.appearance import Appearance, appearances
 from nacre.studio.edit import edited, line_of
-from nacre.studio.folder import MAX_TEXT, OpenedFolder
-from nacre.studio.incidence import read_incidence
+from nacre.studio.folder import MAX_TEXT, OpenedFolder, read_incidence
 from nacre.studio.measured import computed_psi_delta
 from nacre.studio.subprocess_jobs import LatestOnlyWorker, failure_text
 

@@ -23,7 +23,7 @@ from nacre.light import observer, table_wavelengths_nm, xyz_to_srgb_linear
 from nacre.picture.lights import environments
 from nacre.picture.lights.environments import WOOD, Environment, directions, studio, unit_spectrum
 from nacre.picture.scenes.catalogue import SWEEP
-from nacre.picture.shapes.backdrop import sweep_length
+from nacre.picture.shapes.mesh import sweep_length
 from nacre.recipe.fingerprint import fingerprint
 from nacre.studio.appearance import pack
 

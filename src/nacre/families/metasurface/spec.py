@@ -17,24 +17,24 @@ from nacre.families.metasurface.exports import FIGURES, layer_sheet, layout, wri
 from nacre.families.metasurface.material import Metasurface
 from nacre.families.metasurface.monolayer.arrangement import (
     ARRANGEMENTS,
+    SUFFIXES,
     Arrangement,
     Pattern,
+    is_picture,
     jittered_structure,
     pattern_structure,
     points_pattern,
     points_structure,
     sq_structure,
 )
-from nacre.families.metasurface.monolayer.micrograph import SUFFIXES, is_picture
 from nacre.families.metasurface.monolayer.structure import PACKING_LIMIT, Structure, hard_disk_structure
-from nacre.families.metasurface.particle_spec import ParticleSpec
-from nacre.families.metasurface.species import MAX_TOLERANCE, Species, mean_square_radius
+from nacre.families.metasurface.species import MAX_TOLERANCE, ParticleSpec, Species, mean_square_radius
 from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K
 from nacre.light import default_wavelengths
 from nacre.matter.drawings import Drawer
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec, ambient_in
-from nacre.readers.file_spec import FileSpec
+from nacre.readers.curves import FileSpec
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 LEAST_COVERAGE = 1e-4

@@ -25,6 +25,7 @@ from nacre.families.contract import Diffracting, Pixels
 from nacre.formats.layouts import write_pixel_field
 from nacre.light import delta_e_2000, lab_to_xyz, smooth_weights, white_xyz, xyz_to_lab
 from nacre.material.material import Material, load
+from nacre.optimise.checkpoint import Checkpointer
 from nacre.optimise.evaluation import TargetResult
 from nacre.optimise.image.files import ParameterMap, write_maps
 from nacre.optimise.image.pixels import screen_rgb, srgb_lab
@@ -170,17 +171,19 @@ def dot_maps(task: DesignTask, channels: Sequence[Channel]) -> tuple[Array, Arra
 
 
 def design_hologram(
-    task: DesignTask, folder: Path, begun: float, progress: Callable[[DesignProgress], None] | None
+    task: DesignTask, checkpointer: Checkpointer, begun: float, progress: Callable[[DesignProgress], None] | None
 ) -> Design:
     """Design a hologram, and write its maps, recipe, mask and previews.
 
     Args:
+        checkpointer: in the folder of the design, which exists.
         progress: called after each picture.
 
     Raises:
         RecipeError: a geometry is out of reach, or a file would overwrite a picture.
         NacreError: the material cannot be computed, or the folder cannot be written.
     """
+    folder = checkpointer.folder
     _check_overwriting(task, folder)
     channels = []
     for number in range(len(task.targets)):
@@ -195,7 +198,6 @@ def design_hologram(
     bounds = {p.path: (p.low, p.high) for p in task.parameters}
     span = float(periods.min()), float(periods.max())
     maps = [ParameterMap(PERIOD, periods, *span, None), ParameterMap(TURN, turns, *bounds[TURN], None)]
-    folder.mkdir(parents=True, exist_ok=True)
     files = write_maps(folder, maps, {"nacre": __version__, "target": task.fingerprint})
     changes: dict[str, Any] = {m.path: m.texture for m in maps}
     path, copied = write_recipe(folder, task.material, changes, {})

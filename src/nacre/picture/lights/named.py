@@ -66,7 +66,7 @@ class Light:
         Raises:
             UnsupportedError: a lamp has a body; only environments are polarised.
         """
-        from nacre.picture.polarisers import polarised_light
+        from nacre.picture.lights.emitter_plugins import polarised_light
 
         made = {}
         for name, emitter in self.emitters.items():
