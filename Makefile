@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PY := .venv/bin/python
 export NACRE_PROJECT := $(CURDIR)
 
-.PHONY: setup demo test test-full test-lowest coverage mutants fuzz lint docs bench validate wheel release clean
+.PHONY: setup demo test test-full test-lowest coverage mutants fuzz lint style docs bench validate wheel release clean
 
 setup:
 	@bash tools/setup.sh
@@ -11,8 +11,11 @@ setup:
 demo: setup
 	@$(PY) -m nacre demo $(if $(QUICK),--quick) $(if $(OUT),--out $(OUT))
 
-test: setup lint
-	@$(PY) -m pytest -q -m "not full and not gpu" -n 2 --dist worksteal
+# types are checked beside the tests; both must pass
+test: setup style
+	@log=$$(mktemp); $(PY) -m mypy >$$log 2>&1 & types=$$!; \
+	$(PY) -m pytest -q -m "not full and not gpu" -n 2 --dist worksteal; tests=$$?; \
+	wait $$types; types=$$?; cat $$log; rm -f $$log; exit $$((tests | types))
 
 test-full: setup
 	@$(PY) -m pytest -q -m "full and not gpu" -n 2 --dist worksteal --durations=25
@@ -36,11 +39,13 @@ mutants: setup
 fuzz: setup
 	@$(PY) -m tools.fuzz $(if $(COUNT),--count $(COUNT)) $(if $(SEED),--seed $(SEED)) $(if $(AGAIN),--again)
 
-lint: setup
+lint: style
+	@$(PY) -m mypy
+
+style: setup
 	@$(PY) -m ruff check src tests benchmarks validation tools examples
 	@$(PY) -m ruff check --select C901,PLR0913 src
 	@$(PY) -m ruff format --check src tests benchmarks validation tools examples
-	@$(PY) -m mypy
 
 bench validate: export NACRE_CACHE = off
 # what validation measures is raw; a benchmark takes pictures as users get them

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers_grating import check_resumed_table
 
 import nacre
 from nacre.bsdf.bsdf import Bsdf
@@ -15,7 +16,6 @@ from nacre.bsdf.lobes.orders import OrdersLobe
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 from nacre.cli import run
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
-from nacre.matter.periodic import order_tables
 
 LINES = {"shape": "line", "material": {"n": 1.5}, "width_nm": 800}
 DISC: dict[str, Any] = {
@@ -393,32 +393,10 @@ def test_a_material_is_stored_and_loaded(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_table_resumes_at_the_next_angle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NACRE_CACHE", str(tmp_path))
-    monkeypatch.setattr(order_tables, "MIN_STORED_S", 0.0)
-    monkeypatch.setattr(order_tables, "MIN_PART_S", 0.0)
     made = {
         "family": "grating", "substrate": "Al", "profile": {"shape": "sinusoidal", "depth_nm": 80},
         "lattice": {"period_nm": 600},
     }  # fmt: skip
     lam = np.array([600.0])
     stacks = nacre.load(made).model.stacks(lam)
-    solve, solved, limit = order_tables.solve_many, [], 120.0
-
-    def counted(cases: Any, step: int = 0) -> Any:
-        if len(solved) >= limit:
-            raise KeyboardInterrupt
-        solved.extend(cases)
-        return solve(cases, step)
-
-    monkeypatch.setattr(order_tables, "solve_many", counted)
-    with pytest.raises(KeyboardInterrupt):
-        order_tables.order_tables(stacks, lam, None)
-    limit, again = np.inf, len(solved)
-    resumed = order_tables.order_tables(stacks, lam, None)
-    again = len(solved) - again
-    monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "other"))
-    solved.clear()
-    whole = order_tables.order_tables(stacks, lam, None)
-    assert again < len(solved)  # complete angles are not solved again
-    assert np.array_equal(resumed.reflected, whole.reflected)
-    assert np.array_equal(resumed.mirror, whole.mirror)
+    check_resumed_table(monkeypatch, tmp_path, "solve_many", stacks, lam, 4)

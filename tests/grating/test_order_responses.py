@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers_grating import check_resumed_table
 
 import nacre
 from nacre.core.parallel import single_threaded_blas
@@ -126,36 +128,14 @@ def test_plasmons_and_anomalies_lie_between_few_solutions() -> None:
             assert abs(found.get(number, 0.0) - value) < 2e-3
 
 
-def test_a_table_of_lines_resumes(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NACRE_CACHE", str(tmp_path))
-    for name in ("MIN_STORED_S", "MIN_PART_S"):
-        monkeypatch.setattr(order_tables, name, 0.0)
+def test_a_table_of_lines_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(order_tables, "FITTED", (12, (24,)))
     lam = np.array([500.0, 600.0])
     stacks = [
         stack_of({"shape": "line", "width_nm": 230, "material": "Al"}, float(w), {"n": 1.5}, {"period_nm": 600})
         for w in lam
     ]  # fmt: skip
-    solved: list[int] = []
-    limit = 4.0
-
-    def counted(channels: Channels, waves: np.ndarray, step: int = 0) -> np.ndarray:
-        if len(solved) >= limit:
-            raise KeyboardInterrupt
-        solved.append(len(waves))
-        return responses(channels, waves, step)
-
-    monkeypatch.setattr(order_tables, "responses", counted)
-    with pytest.raises(KeyboardInterrupt):
-        order_tables.order_tables(stacks, lam, None)
-    limit, before = np.inf, len(solved)
-    resumed = order_tables.order_tables(stacks, lam, None)
-    again = len(solved) - before
-    monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "other"))
-    solved.clear()
-    whole = order_tables.order_tables(stacks, lam, None)
-    assert again < len(solved)
-    assert np.array_equal(resumed.reflected, whole.reflected) and np.array_equal(resumed.mirror, whole.mirror)
+    check_resumed_table(monkeypatch, tmp_path, "responses", stacks, lam, 4)
 
 
 @pytest.mark.parametrize("shape", ["cross", "rectangle"])

@@ -118,7 +118,7 @@ def run(
 
         if is_hologram(task.material, task.parameters):
             return design_hologram(task, folder, begun)
-        return design_picture(task, folder, begun, progress)
+        return design_picture(task, folder, begun, progress, checkpointer)
 
 
 def read_target(target: str | Path | Mapping[str, Any]) -> DesignTask | ReliefTask:

@@ -19,7 +19,7 @@ from nacre.measure.geometry import Geometry, named_geometries
 from nacre.optimise.evaluation import geometries_of
 from nacre.optimise.image.validation import HOLOGRAM, check_hologram, check_picture_target, is_hologram
 from nacre.optimise.measurement import check_answers
-from nacre.optimise.parameters import Parameter, read_parameters, values_at
+from nacre.optimise.parameters import Parameter, read_parameters, refuse_ties, values_at
 from nacre.optimise.spec import DesignSpec, LayersSpec
 from nacre.optimise.targets import Target, read_targets
 from nacre.optimise.tolerances import read_tolerances
@@ -186,6 +186,7 @@ def check_task(data: dict[str, Any], context: RecipeContext) -> DesignTask:
                 f'{source}: parameters."{free_path}" names a layer, but [layers] searches the whole stack; remove one'
             )
     parameters = read_parameters(spec.parameters, base, source)
+    refuse_ties(base, parameters, source)
     if not parameters and spec.layers is None:
         raise RecipeError(f"{source}: nothing varies; add a [parameters] table, or [layers] for the stack of a film")
     if spec.layers is not None and parameters:
