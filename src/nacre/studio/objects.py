@@ -1,4 +1,4 @@
-"""Objects and measurements on the page: simplified triangle meshes from picture scenes or from the user, packed with their camera."""
+"""Objects and measurements on the page: meshes of picture scenes or of the user, packed with their camera."""
 
 from __future__ import annotations
 
