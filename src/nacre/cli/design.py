@@ -115,7 +115,7 @@ def _print_solutions(result: Any) -> None:
 
 def _print_next(result: Any, target: str) -> None:
     """Print the next commands."""
-    from nacre.formats.calibration import PUBLISHED
+    from nacre.formats.layouts import PUBLISHED
 
     follow = f"nacre report {result.folder}"
     if "loss_fixed" in result.summary:
