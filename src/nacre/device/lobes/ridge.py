@@ -19,8 +19,7 @@ from nacre.bsdf.lobes.ridge import LEAST_CHORD, Ridge, RidgeTable
 from nacre.core.errors import UnsupportedError
 from nacre.device import plugin
 from nacre.device.response import DeviceResponse
-from nacre.device.tables import DeviceTable, WavelengthAxis
-from nacre.device.texture import DeviceTexture
+from nacre.device.tables import DeviceTable, DeviceTexture, WavelengthAxis
 
 ENVELOPE_CELLS = 4096
 COMB_CELLS_PER_RIDGE = 64
