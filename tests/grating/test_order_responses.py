@@ -159,6 +159,8 @@ def test_the_exchange_of_x_and_y_takes_one_class(shape: str, monkeypatch: pytest
     whole = solve_coarse(stack, 650.0, 0.0, 0.7)
     assert difference(found, both) < 1e-10 and difference(found, whole) < 1e-6  # parities take another basis
     assert np.abs(found.reflected.jones - both.reflected.jones).max() < 1e-10
+    # light goes up from the surface, and down behind it
+    assert np.all(both.reflected.direction[:, 2] > 0.0) and np.all(both.transmitted.direction[:, 2] < 0.0)
 
 
 def test_a_rectangle_that_differs_along_x_and_y_takes_two_classes() -> None:
