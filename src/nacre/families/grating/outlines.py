@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from typing import Literal
 
 import numpy as np
 
@@ -28,12 +30,16 @@ def outlines(shape: Shape, width_nm: float, height_nm: float) -> list[Array]:
     x, y = (float(str(part)) for part in shape.key[1:3])
     if kind == "ring":
         rim, hole = (float(str(part)) for part in shape.key[3:5])
-        circles = [[_star(lambda a, b, r=r: np.hypot(a - x, b - y) - r, x, y, reach)] for r in (rim, hole)]
-        return _combined(*circles, "not")
+        outer, inner = (_star(partial(_circle, x, y, radius), x, y, reach) for radius in (rim, hole))
+        return _combined([outer], [inner], "not")
     return [_star(shape.distance, x, y, reach)]
 
 
-def _combined(one: list[Array], other: list[Array], operation: str) -> list[Array]:
+def _circle(x: float, y: float, radius: float, a: Array, b: Array) -> Array:
+    return np.asarray(np.hypot(a - x, b - y) - radius)
+
+
+def _combined(one: list[Array], other: list[Array], operation: Literal["or", "not"]) -> list[Array]:
     """Return polygons that combine others; holes are joined to the rim by a cut."""
     import gdstk
 

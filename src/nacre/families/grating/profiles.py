@@ -65,7 +65,7 @@ def read_profile(context: RecipeContext, key: str, name: str, period_nm: float, 
         raise context.fail(key, name, why_unreadable(error)) from None
     except UnicodeDecodeError:
         raise context.fail(key, name, "is not a text table") from None
-    rows = []
+    rows: list[list[float]] = []
     for line in text.splitlines()[:MAX_POINTS]:
         try:
             numbers = [float(part) for part in line.replace(";", ",").replace("\t", ",").split(",")]
