@@ -19,7 +19,7 @@ from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Tile
-from nacre.formats.calibration import PUBLISHED_CALIBRATION, read_calibration
+from nacre.formats.layouts import PUBLISHED_CALIBRATION, read_calibration
 from nacre.formats.number_maps import write_png16, write_tiff16
 from nacre.matter.indices.library import index
 

@@ -255,7 +255,7 @@ def test_where_flakes_are_not_seen_apart_a_lobe_is_the_one_without_glints(fast: 
     import drjit as dr
 
     from nacre.device.bsdf import make_plugin
-    from nacre.device.glints import without_glints
+    from nacre.device.facet_distributions import without_glints
 
     count, generator = 4_000, np.random.default_rng(15)
     si = dr.zeros(mi.SurfaceInteraction3f, count)

@@ -14,8 +14,14 @@ from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.core.files import atomic_path, check_writable, write_text
-from nacre.formats.calibration import find_calibration, linear_calibration
-from nacre.formats.layouts import write_layout, write_levels, write_pixel_field, write_points_csv
+from nacre.formats.layouts import (
+    find_calibration,
+    linear_calibration,
+    write_layout,
+    write_levels,
+    write_pixel_field,
+    write_points_csv,
+)
 from nacre.formats.number_maps import write_png16, write_stl, write_tiff16
 from nacre.matter.drawings import CellField, Drawing, HeightMap, LayerSheet, Layout
 
