@@ -110,20 +110,15 @@ def make_picture(task: DesignTask, palette: Palette) -> PictureDesign:
 
 
 def design_picture(
-    task: DesignTask,
-    folder: Path,
-    begun: float,
-    progress: Callable[[DesignProgress], None] | None,
-    checkpointer: Checkpointer,
+    task: DesignTask, checkpointer: Checkpointer, begun: float, progress: Callable[[DesignProgress], None] | None
 ) -> Design:
     """Design a picture.
 
     Args:
         task: its only target is a picture.
-        folder: exists.
+        checkpointer: of the palette, in the folder of the design, which exists.
         begun: `time.monotonic()` at the start.
         progress: called before, during and after the computation.
-        checkpointer: of the palette.
 
     Raises:
         RecipeError: a map would overwrite the picture, or the budget is too small.
@@ -131,6 +126,7 @@ def design_picture(
     """
     target, search = task.targets[0], task.spec.search
     total = search.seconds if "seconds" in search.model_fields_set else np.inf
+    folder = checkpointer.folder
     _check_overwriting(task, folder)
 
     def report(worst: float, said: str, count: int = 0) -> None:
