@@ -139,8 +139,9 @@ def tangent_over_root(u: Array) -> Array:
     slab of e'' = -u e is doubled by its reflectance and transmittance between resistive media, which remain below 1.
     """
     squared = u @ u
-    norms = [np.abs(each).sum(axis=-2).max(axis=-1) for each in (u, squared)]
-    size = float(np.minimum(norms[0], np.sqrt(norms[1])).max())
+    sizes = [np.abs(each) for each in (u, squared)]
+    norms = [np.minimum(each.sum(axis=-2).max(axis=-1), each.sum(axis=-1).max(axis=-1)) for each in sizes]
+    size = float(np.minimum(norms[0], np.sqrt(norms[1])).max())  # largest eigenvalue at most
     doublings = int(np.ceil(np.log(max(size / FRACTION_REACH, 1.0)) / np.log(4.0)))
     scale = 0.25**doublings
     one, u, squared = np.eye(u.shape[-1]), scale * u, scale**2 * squared

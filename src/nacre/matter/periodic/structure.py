@@ -160,6 +160,10 @@ class NotConvergedError(NacreError):
     """The orders do not reach the tolerance within the largest size."""
 
 
+class WallsMeetError(NotConvergedError):
+    """Sloping walls meet, so that elements cannot follow them."""
+
+
 def check_unknowns(count: int, k0: float) -> None:
     """Refuse a system that is too large.
 
