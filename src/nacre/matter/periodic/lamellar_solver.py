@@ -351,7 +351,7 @@ def _states(space: Space, values: Array, depth: Array, k_y: Array) -> list[tuple
     for count in (1, 2):
         half = np.tile(0.5 * depth / count, 2)[:, None, None]
         tangent = half * tangent_over_root(half**2 * squared)
-        if np.abs(tangent).max() < LARGEST_TANGENT * np.abs(half).max():
+        if (tangent.real**2 + tangent.imag**2).max() < (LARGEST_TANGENT * half.max()) ** 2:
             break
     return [(tangent, np.concatenate([p_x, p_y]), q_x, q_y)] * count
 

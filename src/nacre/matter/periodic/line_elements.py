@@ -277,9 +277,7 @@ def _checked(rows: int, columns: int, k0: float) -> None:
         )
 
 
-def wall_lines(
-    tilted: Sequence[tuple[PatternLayer, tuple[float, ...]]], period: float
-) -> Array:  # fmt: skip
+def wall_lines(tilted: Sequence[tuple[PatternLayer, tuple[float, ...]]], period: float) -> Array:
     """Return the places of all walls at each face between layers, `[face, line]`, ascending; faces from the top down.
 
     A wall goes on through other layers at a fixed place between their walls.
@@ -331,8 +329,10 @@ def _carried(x: float, start: Array, end: Array, period: float) -> float:
 def _wall_grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> Grid:
     assert stack.tilted is not None
     period = stack.cell.period_x
-    tilted = list(stack.tilted)
+    tilted = [each for each in stack.tilted if each[0].thickness_nm > 0.0]
     ends = [k for k, (layer, _) in enumerate(tilted) if layer.shapes]
+    if not ends:
+        raise WallsMeetError("layers of lines have no thickness")
     first, last = ends[0], ends[-1] + 1
     placed = wall_lines(tilted[first:last], period) * k0
     outside = [(layer.thickness_nm * k0, layer.epsilon) for layer, _ in tilted]
@@ -342,9 +342,7 @@ def _wall_grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> Gri
     inner, middle = tilted[first:last], 0.5 * (placed[1:] + placed[:-1])
     centers = 0.5 * (middle + np.append(middle[:, 1:], middle[:, :1] + period, axis=1)) / k0
     values = [values_at(layer, x, period / k0) for (layer, _), x in zip(inner, centers, strict=True)]
-    index = max(
-        [stack.reach, *(float(np.sqrt(np.asarray(v, dtype=complex)).real.max()) for v in values)]
-    )  # fmt: skip
+    index = max([stack.reach, *(float(np.sqrt(np.asarray(v, dtype=complex)).real.max()) for v in values)])
     width = np.diff(placed, append=placed[:, :1] + period, axis=1)
     least = 0.25 * GRADING**layers * period  # of elements at the ends of a graded region, but for a factor of 2
     fractions = [
@@ -394,16 +392,12 @@ def _wall_grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> Gri
     shape = (len(rows), len(region), len(u), len(u))
     w_0, w_1 = np.diff(lower, axis=1)[:, :, None, None], np.diff(upper, axis=1)[:, :, None, None]
     shift = (upper - lower)[:, :, None, None]
-    metric = np.array(
-        [
-            np.broadcast_to(w_0 + (w_1 - w_0) * u, shape),
-            np.broadcast_to(shift[:, :-1] + (shift[:, 1:] - shift[:, :-1]) * u[:, None], shape),
-            np.zeros(shape),
-            np.broadcast_to(height[:, None, None, None], shape),
-        ]
-    )
-    epsilon = np.array([e for _, _, _, e in rows])
-    return Grid((line[-1], line[0]), epsilon, metric, below, above, low, high)
+    metric = np.zeros((4, *shape))
+    metric[0] = w_0 + (w_1 - w_0) * u
+    metric[1] = shift[:, :-1] + (shift[:, 1:] - shift[:, :-1]) * u[:, None]
+    metric[3] = height[:, None, None, None]
+    filling = np.array([e for _, _, _, e in rows])
+    return Grid((line[-1], line[0]), filling, metric, below, above, low, high)
 
 
 def _profile_grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> Grid:

@@ -22,6 +22,7 @@ SAFETY = {"lines": 0.5, "profile": 0.5, "elements": 0.7, "rectangles": 1.5, "fou
 TOLERANCE = {"lines": 2e-4, "profile": 5e-5, "elements": 2e-4, "rectangles": 3e-3, "fourier": 4e-3}
 LEAST_ERROR = {"lines": 1e-5, "profile": 2e-6, "elements": 1e-5, "rectangles": 2e-4, "fourier": 2e-4}
 LARGEST_ERROR = 2e-2  # where no tolerance is asked for, a larger error is refused; a smaller one is stated
+SINGULAR = 1.5e-3  # error of profiles with corners above which elements are tried, in some ten seconds
 MAX_WALLS = 6  # along one axis: elements between more of them are too many
 SLICES = {"lines": (12, 24), "fourier": (12,)}  # of sloping walls, beyond those at first
 SLICES_RATE = 1.5  # observed: the error of steps falls as count^-2 in s, as count^-1 to count^-1.5 in p
@@ -132,7 +133,7 @@ def solve(
         return _solve_slices(stack, wavelength_nm, theta_rad, phi_rad, tolerance, is_strict)
     bound = tolerance or TOLERANCE[method]
     best = _finest(method, stack, case, bound)
-    if method == "profile" and best.error > bound:
+    if method == "profile" and best.error > max(bound, SINGULAR if stack.profile and stack.profile.corners else 0.0):
         try:
             other = _finest("elements", stack, case, bound)
         except NotConvergedError:
