@@ -292,3 +292,11 @@ def test_a_right_handed_helix_reflects_right_circular_light(polarised: Any) -> N
     entering = {name: float(matrix[0, :, 2] @ (2.0 * np.array(row)[0])) for name, row in filters.items()}
     assert entering["right"] > 0.85 and entering["left"] < 0.1
     assert passed["right"] > 10 * passed["left"]
+
+
+def test_matrices_beyond_the_critical_angle_follow_the_stack() -> None:
+    """Total reflection in glass below an anisotropic plate: all light returns, its phase depends on the angle."""
+    made = nacre.material({"family": "film", "substrate": {"n": 1.5}, "layers": [PLATE]}).bsdf(GRID_NM)
+    total = made.polarisation().total
+    np.testing.assert_allclose(total[..., 0], 1.0, atol=1e-5)
+    assert np.ptp(total, axis=1).max() > 0.1
