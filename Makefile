@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PY := .venv/bin/python
 export NACRE_PROJECT := $(CURDIR)
 
-.PHONY: setup demo test test-full test-lowest coverage mutants fuzz lint style docs bench validate wheel release clean
+.PHONY: setup demo test test-full test-gpu test-lowest coverage mutants fuzz lint style docs bench validate wheel release clean
 
 setup:
 	@bash tools/setup.sh
@@ -23,6 +23,12 @@ test-full: setup
 # a part of the tests with the lowest allowed versions of all dependencies, in an environment of its own
 test-lowest:
 	@bash tools/test_lowest.sh
+
+# the tests of the device on an NVIDIA GPU; those of single families too
+test-gpu: setup
+	@NACRE_VARIANT=cuda_ad_spectral $(PY) -m pytest -q -m "(render or gpu) and not full" -n 2 --dist worksteal \
+	  tests/render_plugins tests/film tests/blend tests/pearl tests/metasurface tests/relief tests/glass tests/grating \
+	  tests/render_scenes/test_pictures.py tests/render_scenes/test_polarised_pictures.py tests/render_scenes/test_paths.py
 
 # lines of src/nacre that the quick suite reaches, in all its processes; fails below the bar of pyproject.toml
 coverage: setup

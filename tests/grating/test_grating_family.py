@@ -400,3 +400,26 @@ def test_an_interrupted_table_resumes_at_the_next_angle(tmp_path: Path, monkeypa
     lam = np.array([600.0])
     stacks = nacre.load(made).model.stacks(lam)
     check_resumed_table(monkeypatch, tmp_path, "solve_many", stacks, lam, 4)
+
+
+@pytest.mark.parametrize(("row", "height"), [(9, "oops"), (20, 20_000.0)])
+def test_a_table_of_heights_with_a_gap_or_a_wall_is_refused(tmp_path: Path, row: int, height: Any) -> None:
+    x = np.linspace(0.0, 600.0, 61)
+    z: list[Any] = (40 * np.cos(2 * np.pi * x / 600)).tolist()
+    made = {"family": "grating", "substrate": "Al", "lattice": {"period_nm": 600}}
+    made["profile"] = {"shape": "file", "heights": "heights.csv"}
+    for values in (z, [*z[:row], height, *z[row + 1 :]]):
+        lines = ["# x, z", *(f"{a},{b}" for a, b in zip(x, values, strict=True)), "# end"]
+        (tmp_path / "heights.csv").write_text("\n".join(lines))
+        if values is z:
+            nacre.material(made, tmp_path)
+    with pytest.raises(RecipeError):
+        nacre.material(made, tmp_path)
+
+
+def test_a_gds_without_a_cell_is_refused(tmp_path: Path) -> None:
+    import gdstk
+
+    gdstk.Library().write_gds(tmp_path / "cell.gds")
+    with pytest.raises(RecipeError):
+        nacre.material(DISC | layers({"gds": "cell.gds"}), tmp_path)

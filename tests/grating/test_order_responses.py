@@ -159,6 +159,8 @@ def test_the_exchange_of_x_and_y_takes_one_class(shape: str, monkeypatch: pytest
     whole = solve_coarse(stack, 650.0, 0.0, 0.7)
     assert difference(found, both) < 1e-10 and difference(found, whole) < 1e-6  # parities take another basis
     assert np.abs(found.reflected.jones - both.reflected.jones).max() < 1e-10
+    # light goes up from the surface, and down behind it
+    assert np.all(both.reflected.direction[:, 2] > 0.0) and np.all(both.transmitted.direction[:, 2] < 0.0)
 
 
 def test_a_rectangle_that_differs_along_x_and_y_takes_two_classes() -> None:
@@ -204,3 +206,12 @@ def test_orders_leave_into_a_dense_ambient_where_they_propagate() -> None:
                 assert value == pytest.approx(power, abs=4e-3)
                 checked += power > 0.01
     assert checked > 1
+
+
+def test_an_error_never_falls_below_what_the_series_of_discs_reaches() -> None:
+    """A disc of nearly no contrast: two sizes agree to rounding, which proves nothing about the next."""
+    from nacre.matter.periodic.solve import LEAST_ERROR, solve
+
+    stack = stack_of({"shape": "disc", "diameter_nm": 150, "material": {"n": 1.0 + 1e-9}}, 650.0, {"n": 1.5},
+                     {"period_nm": 300})  # fmt: skip
+    assert solve(stack, 650.0, 0.0, 0.0).error == LEAST_ERROR["fourier"] > 0.0

@@ -224,9 +224,9 @@ def test_a_dye_takes_from_the_base_what_beer_and_lambert_say():
 @pytest.mark.render
 @pytest.mark.parametrize("name", [name for name in CASES if name != "dye"])
 def test_samples_follow_the_density_and_the_values(baked, name):
-    from nacre.render import use_variant
+    from tested_variant import use_tested_variant
 
-    use_variant("llvm_ad_spectral")
+    use_tested_variant()
     import lobe_trials as testing
 
     bsdf = Bsdf((baked[name][1],))

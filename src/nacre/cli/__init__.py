@@ -64,7 +64,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "sweep": ("nacre.cli.analysis", "Compute a material over many values of its numbers."),
     "indices": ("nacre.cli.machine", "Search and show optical constants."),
     "examples": ("nacre.cli.machine", "List the recipes that come with nacre, or copy them."),
-    "keys": ("nacre.cli.machine", "Print the keys of recipes, targets and sweeps."),
+    "keys": ("nacre.cli.keys", "Print the keys of recipes, targets and sweeps."),
     "cache": ("nacre.cli.machine", "Show or clear the disk cache of solved materials."),
     "doctor": ("nacre.cli.machine", "Check this machine and say how to fix problems."),
 }

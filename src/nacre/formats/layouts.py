@@ -236,6 +236,7 @@ def write_points_csv(path: str | Path, xy_um: Array, radii_um: Array | None = No
 
 # Fields of nanopixels as GDSII or OASIS: a cell for each kind of pixel, placed by array references.
 
+FINE_M = 1e-11  # database unit for periods that are not whole nanometres
 Polygon = tuple[int, Array]  # layer, corners [corner, 2] in nm
 
 
@@ -244,7 +245,7 @@ def write_pixel_field(
     kinds: NDArray[np.int64],
     cells: Sequence[Sequence[Polygon]],
     pitch_nm: tuple[float, float],
-    repeats: int,
+    repeats: int | tuple[int, int],
 ) -> int:
     """Write a field of pixels and return the number of array references.
 
@@ -253,7 +254,7 @@ def write_pixel_field(
         kinds: `[row, column]`, number of the cell of each pixel, first row on top.
         cells: polygons of each kind, about the centre of one period.
         pitch_nm: periods along x and y.
-        repeats: periods of a pixel along each side.
+        repeats: periods of a pixel along each side, or along x and y.
 
     Raises:
         UnsupportedError: the field is too large for coordinates of 32 bits.
@@ -262,9 +263,13 @@ def write_pixel_field(
     import gdstk
 
     rows, columns = kinds.shape
-    if max(rows * pitch_nm[1], columns * pitch_nm[0]) * repeats > MAX_DATABASE_UNITS:
-        raise UnsupportedError(f"{path}: {columns} x {rows} pixels of {repeats} periods leave coordinates of 32 bits")
-    library = gdstk.Library("nacre", unit=1e-6, precision=1e-9)
+    n_x, n_y = (repeats, repeats) if isinstance(repeats, int) else repeats
+    precision = 1e-9 if all(abs(p - round(p)) < 1e-9 for p in pitch_nm) else FINE_M
+    if max(rows * n_y * pitch_nm[1], columns * n_x * pitch_nm[0]) * 1e-9 / precision > MAX_DATABASE_UNITS:
+        raise UnsupportedError(
+            f"{path}: {columns} x {rows} pixels of {n_x} x {n_y} periods leave coordinates of 32 bits"
+        )  # fmt: skip
+    library = gdstk.Library("nacre", unit=1e-6, precision=precision)
     made = []
     for number, polygons in enumerate(cells):
         cell = library.new_cell(f"pixel-{number}")
@@ -277,8 +282,8 @@ def write_pixel_field(
     from_below = kinds[::-1].T  # [x, y], y up
     count = 0
     for kind, x, first, last in runs(from_below):
-        origin = (x * repeats * spacing[0], first * repeats * spacing[1])
-        count += add_array(top, made[kind], repeats, (last - first) * repeats, spacing, origin)
+        origin = (x * n_x * spacing[0], first * n_y * spacing[1])
+        count += add_array(top, made[kind], n_x, (last - first) * n_y, spacing, origin)
     with atomic_path(path) as temporary:
         if path.suffix.lower() == ".gds":
             library.write_gds(str(temporary))

@@ -148,7 +148,8 @@ def design_picture(
     sampler = _sampler(task)
     with interrupt_flag() as is_interrupted:
         stored = _stored_palette(folder, checkpointer)
-        palette = Palette(sampler, search.evaluations, stored, solved, is_interrupted, begun + GRID_SHARE * total)
+        limit = None if search.evaluations is None else int(search.evaluations)
+        palette = Palette(sampler, limit, stored, solved, is_interrupted, begun + GRID_SHARE * total)
         try:
             picture = make_picture(task, palette)
         finally:
