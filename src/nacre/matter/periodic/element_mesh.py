@@ -1,0 +1,373 @@
+"""Elements with curved sides on a cell of two periods that holds closed walls about one centre.
+
+A disc, an ellipse, or a ring: blocks with four sides follow the walls, a few more fill the innermost region, and the
+outermost reach the sides of the cell (of a lattice without right angles, the hexagon of the points nearest to one
+node). E_z takes continuous tensor products of polynomials, (E_x, E_y) edge elements, which contain their gradients
+(Nedelec, Numer. Math. 35, 315 (1980); Demkowicz, Computing with hp-adaptive finite elements (2006)).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.sparse
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from nacre.core.quadrature import gauss_legendre
+from nacre.matter.periodic.structure import Cell
+from nacre.matter.periodic.types import Array
+
+CORE = 0.55  # corners of the innermost blocks, over the first wall's distance
+EXTRA_POINTS = 6  # of the integrals, beyond the degree: sides are curved
+
+
+@dataclass(frozen=True)
+class Oval:
+    """An ellipse: centre, half axes in nm, and the angle of the first."""
+
+    x: float
+    y: float
+    a: float
+    b: float
+    turn_rad: float = 0.0
+
+    def radius(self, angle: Array) -> Array:
+        """Return the distance of the wall from the centre."""
+        own = angle - self.turn_rad
+        return np.asarray(self.a * self.b / np.hypot(self.b * np.cos(own), self.a * np.sin(own)))
+
+
+def cell_corners(cell: Cell) -> Array:
+    """Return the corners `[corner, 2]` of the cell about a node, counterclockwise."""
+    assert cell.period_y is not None
+    first = np.array([cell.period_x, 0.0])
+    second = cell.period_y * np.array([np.cos(cell.angle_rad), np.sin(cell.angle_rad)])
+    if cell.is_rectangular:
+        return np.array([0.5 * (s * first + t * second) for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    # nearest nodes in the six directions of the hexagon, by reduction of the lattice
+    while True:
+        second = second - np.rint(second @ first / (first @ first)) * first
+        if second @ second >= (first @ first) * (1.0 - 1e-12):
+            break
+        first, second = second, first
+    if first @ second > 0.0:
+        second = -second
+    around = np.array([first, first + second, second, -first, -first - second, -second])
+    around = around[np.argsort(np.arctan2(around[:, 1], around[:, 0]))]
+    return np.array(
+        [
+            np.linalg.solve(np.stack([p, q]), 0.5 * np.array([p @ p, q @ q]))
+            for p, q in zip(around, np.roll(around, -1, axis=0), strict=True)
+        ]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A map of (-1, 1) x (-1, 1): radial lines between an inner and an outer side, or a quadrilateral.
+
+    Attributes:
+        corners: `[2, 2, 2]`, x and y at xi = -1, 1 and eta = -1, 1.
+        walls: inner and outer oval; None: a straight side.
+        angles: of both radial lines.
+    """
+
+    region: int
+    corners: Array
+    walls: tuple[Oval | None, Oval | None] = (None, None)
+    angles: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def length(self) -> float:
+        """Longest distance between corners along a side."""
+        c = self.corners
+        return float(max(np.hypot(*(c[0] - c[1]).T).max(), np.hypot(*(c[:, 0] - c[:, 1]).T).max()))
+
+    def at(self, xi: Array, eta: Array) -> Array:
+        """Return x and y `[2, point]` from the centre."""
+        sides = []
+        angle = self.angles[0] + 0.5 * (eta + 1.0) * (self.angles[1] - self.angles[0])
+        for k, wall in enumerate(self.walls):
+            start, end = self.corners[k]
+            if wall is None:
+                side = start[:, None] + (end - start)[:, None] * 0.5 * (eta + 1.0)
+            else:
+                side = wall.radius(angle) * np.array([np.cos(angle), np.sin(angle)])
+            sides.append(side)
+        return np.asarray(0.5 * (1.0 - xi) * sides[0] + 0.5 * (1.0 + xi) * sides[1])
+
+
+def _blocks(cell: Cell, walls: tuple[Oval, ...]) -> list[Block]:
+    corners = cell_corners(cell)
+    angles = np.unwrap(np.arctan2(corners[:, 1], corners[:, 0]))
+    angles = np.append(angles, angles[0] + 2.0 * np.pi)
+    unit = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    rings = [CORE * walls[0].radius(angles)[:, None] * unit]
+    rings += [wall.radius(angles)[:, None] * unit for wall in walls]
+    rings.append(np.concatenate([corners, corners[:1]]))
+    curves: list[Oval | None] = [None, *walls, None]
+    found = []
+    for k in range(len(rings) - 1):
+        for j in range(len(corners)):
+            at = np.array([[rings[k][j], rings[k][j + 1]], [rings[k + 1][j], rings[k + 1][j + 1]]])
+            found.append(Block(k, at, (curves[k], curves[k + 1]), (angles[j], angles[j + 1])))
+    inner = rings[0]
+    if len(corners) == 4:
+        found.append(Block(0, np.array([[inner[0], inner[3]], [inner[1], inner[2]]])))
+    else:
+        middle = np.zeros(2)
+        found += [
+            Block(0, np.array([[middle, inner[j + 2]], [inner[j], inner[j + 1]]])) for j in (0, 2, 4)
+        ]  # fmt: skip
+    return found
+
+
+@lru_cache(maxsize=16)
+def shape_functions(degree: int, count: int) -> tuple[Array, Array, Array]:
+    """Return N `[degree + 1, point]`, their derivatives D `[degree, point]`, and the map from D to N' `[N, D]`.
+
+    N_0 and N_1 are 1 at one end; the others vanish at both.
+    """
+    x, _ = gauss_legendre(count)
+    values = legendre.legvander(x, degree).T
+    norm = np.sqrt(np.arange(degree) + 0.5)
+    n, d = np.empty((degree + 1, count)), norm[:, None] * values[:degree]
+    d[0] = 0.5
+    n[0], n[1] = 0.5 * (1.0 - x), 0.5 * (1.0 + x)
+    for k in range(1, degree):
+        n[k + 1] = norm[k] * (values[k + 1] - values[k - 1]) / (2 * k + 1)
+    slope = np.zeros((degree + 1, degree))
+    slope[0, 0], slope[1, 0] = -1.0, 1.0
+    slope[np.arange(2, degree + 1), np.arange(1, degree)] = 1.0
+    return n, d, slope
+
+
+@dataclass(frozen=True, eq=False)
+class ElementMesh:
+    """Both spaces on one cell.
+
+    Matrices of blocks are those of all local functions, block after block; `folded` joins them. Lengths are in nm.
+
+    Attributes:
+        count: blocks.
+        masses: per region, of the edge functions (their scale does not depend on the unit of length).
+        heights: per region, of the continuous functions.
+        rotation: curl times curl of the edge functions.
+        gradient: from continuous to edge functions.
+        edge, node: `[local]` numbers of the joined functions, signs, and offsets `[local, 2]` by lattice vectors.
+        blocks: their maps.
+        sizes: count of joined edge and of joined continuous functions.
+    """
+
+    cell: Cell
+    degree: int
+    count: int
+    masses: tuple[scipy.sparse.csr_matrix, ...]
+    heights: tuple[scipy.sparse.csr_matrix, ...]
+    rotation: scipy.sparse.csr_matrix
+    gradient: scipy.sparse.csr_matrix
+    edge: tuple[NDArray[np.intp], Array, Array]
+    node: tuple[NDArray[np.intp], Array, Array]
+    blocks: tuple[Block, ...]
+    sizes: tuple[int, int]
+
+    def joints(self, wave: Array) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
+        """Return the maps from the joined edge and continuous functions to local ones, at a wave vector in 1/nm."""
+        found = []
+        for (number, sign, offset), size in zip((self.edge, self.node), self.sizes, strict=True):
+            values = sign * np.exp(1j * (offset @ wave))
+            shape = (len(number), size)
+            found.append(scipy.sparse.csr_matrix((values, (np.arange(len(number)), number)), shape=shape))
+        return found[0], found[1]
+
+    def plane_waves(self, wave: Array, numbers: Array) -> Array:
+        """Return the integrals of x and y of the local edge functions with plane waves `[2, local, order]`.
+
+        Args:
+            wave: wave vector of order (0, 0) in 1/nm.
+            numbers: `[order, 2]`.
+        """
+        vectors = self.cell.wave_vectors(numbers) + wave
+        longest = max(block.length for block in self.blocks)
+        count = self.degree // 2 + 8 + int(0.5 * np.hypot(*vectors.T).max() * longest)
+        bases = self.cell.wave_vectors(np.eye(2))
+        low, high = numbers.min(axis=0), numbers.max(axis=0)
+        found = np.empty((2, len(self.edge[0]), len(numbers)), dtype=complex)
+        for k, (at, weighted) in enumerate(_weighted(self.blocks, self.degree, count)):
+            powers = [
+                np.exp(1j * np.outer(at.T @ basis, np.arange(a, b + 1)))
+                for basis, a, b in zip(bases, low, high, strict=True)
+            ]
+            powers[0] *= np.exp(1j * (at.T @ wave))[:, None]
+            values = powers[0][:, numbers[:, 0] - low[0]] * powers[1][:, numbers[:, 1] - low[1]]
+            own = weighted @ np.ascontiguousarray(values).view(float)  # real products take half the time
+            found[:, k * weighted.shape[1] : (k + 1) * weighted.shape[1]] = np.ascontiguousarray(own).view(complex)
+        return found
+
+
+@lru_cache(maxsize=2)
+def _weighted(blocks: tuple[Block, ...], degree: int, count: int) -> tuple[tuple[Array, Array], ...]:
+    """Return the points of each block, and x and y of its edge functions times weights `[2, function, point]`."""
+    n, d, _ = shape_functions(degree, count)
+    x, w = gauss_legendre(count)
+    xi, eta = (axis.ravel() for axis in np.meshgrid(x, x, indexing="ij"))
+    both = _product(d, n), _product(n, d)
+    found = []
+    for block in blocks:
+        at, a, b = _mapped(block, xi, eta)
+        found.append((at, _fields(both, a, b) * np.outer(w, w).ravel()))
+    return tuple(found)
+
+
+def _product(first: Array, second: Array) -> Array:
+    return np.einsum("ip,jq->ijpq", first, second).reshape(len(first) * len(second), -1)
+
+
+def _fields(both: tuple[Array, Array], a: Array, b: Array) -> Array:
+    """Return x and y of the edge functions times the area `[2, function, point]`.
+
+    Args:
+        both: functions along xi and along eta, on the square.
+        a, b: derivatives of x and y along xi and eta.
+    """
+    along, across = both
+    return np.stack(
+        [np.concatenate([b[1] * along, -a[1] * across]), np.concatenate([-b[0] * along, a[0] * across])]
+    )
+
+
+def edge_count(cell: Cell, walls: int, degree: int) -> int:
+    """Return the number of joined edge functions."""
+    blocks = 4 * (walls + 1) + 1 if cell.is_rectangular else 6 * (walls + 1) + 3
+    return 2 * blocks * degree**2
+
+
+@lru_cache(maxsize=6)
+def element_mesh(cell: Cell, walls: tuple[Oval, ...], degree: int) -> ElementMesh:
+    """Return the elements for nested ovals about one centre, from the innermost."""
+    blocks = _blocks(cell, walls)
+    count = degree + EXTRA_POINTS
+    n, d, slope = shape_functions(degree, count)
+    x, w = gauss_legendre(count)
+    xi, eta = (axis.ravel() for axis in np.meshgrid(x, x, indexing="ij"))
+    weight = np.outer(w, w).ravel()
+
+    slope_n = slope @ d
+    along, across, nodal = _product(d, n), _product(n, d), _product(n, n)
+    turned = np.concatenate([-_product(d, slope_n), _product(slope_n, d)])  # the curl on the square
+    one = np.eye(degree + 1)
+    step = np.concatenate([np.kron(slope, one).T, np.kron(one, slope).T])
+    masses: list[list[Array]] = [[] for _ in range(len(walls) + 1)]
+    heights: list[list[Array]] = [[] for _ in range(len(walls) + 1)]
+    rotation = []
+    for block in blocks:
+        _, a, b = _mapped(block, xi, eta)
+        area = a[0] * b[1] - b[0] * a[1]
+        fields = _fields((along, across), a, b)
+        mass = np.einsum("cip,cjp->ij", fields * (weight / area), fields, optimize=True)
+        height = (nodal * (weight * area)) @ nodal.T
+        for k in range(len(masses)):
+            masses[k].append(mass if k == block.region else np.zeros_like(mass))
+            heights[k].append(height if k == block.region else np.zeros_like(height))
+        rotation.append((turned * (weight / area)) @ turned.T)
+    node, edge = _numbered(cell, blocks, degree)
+
+    def diagonal(parts: list[Array]) -> scipy.sparse.csr_matrix:
+        made = scipy.sparse.csr_matrix(scipy.sparse.block_diag(parts))
+        made.eliminate_zeros()
+        return made
+
+    return ElementMesh(
+        cell, degree, len(blocks), tuple(diagonal(m) for m in masses), tuple(diagonal(h) for h in heights),
+        diagonal(rotation), diagonal([step] * len(blocks)), edge, node, tuple(blocks),
+        (int(edge[0].max()) + 1, int(node[0].max()) + 1),
+    )  # fmt: skip
+
+
+def _mapped(block: Block, xi: Array, eta: Array) -> tuple[Array, Array, Array]:
+    """Return x and y at the points and their derivatives along xi and eta, each `[2, point]`."""
+    at = block.at(xi, eta)
+    one = np.ones_like(xi)
+    along = 0.5 * (block.at(one, eta) - block.at(-one, eta))
+    step = 1e-5  # central differences of four terms: exact to 1e-12
+    across = (
+        8.0 * (block.at(xi, eta + step) - block.at(xi, eta - step))
+        - (block.at(xi, eta + 2.0 * step) - block.at(xi, eta - 2.0 * step))
+    ) / (12.0 * step)
+    return at, along, across
+
+
+Numbered = tuple[NDArray[np.intp], Array, Array]
+
+
+def _numbered(cell: Cell, blocks: list[Block], degree: int) -> tuple[Numbered, Numbered]:
+    """Return the joined numbers, signs and offsets of the local continuous and edge functions."""
+    lattice = np.array(
+        [[cell.period_x, 0.0], [np.cos(cell.angle_rad), np.sin(cell.angle_rad)]]
+    )  # fmt: skip
+    lattice[1] *= cell.period_y or 0.0
+    inverse = np.linalg.inv(lattice)
+    seen: list[tuple[Array, Array]] = []  # middle and direction of each side, or a corner with direction 0
+
+    def found(middle: Array, direction: Array) -> tuple[int, bool, Array]:
+        """Return the number, whether the direction is opposite, and the offset."""
+        for k, (other, way) in enumerate(seen):
+            cells = (middle - other) @ inverse
+            if np.abs(cells - np.rint(cells)).max() < 1e-6 and (way.any() == direction.any()):
+                return k, bool(way @ direction < 0.0), np.rint(cells) @ lattice
+        seen.append((middle, direction))
+        return len(seen) - 1, False, np.zeros(2)
+
+    starts: dict[tuple[str, int], int] = {}
+    totals = [0, 0]
+    parts: tuple[list[Array], list[Array]] = ([], [])
+
+    def place(space: int, key: tuple[str, int], own: int) -> int:
+        name = (f"{space}{key[0]}", key[1])
+        if name not in starts:
+            starts[name] = totals[space]
+            totals[space] += own
+        return starts[name]
+
+    for number, block in enumerate(blocks):
+        corner = {(i, j): found(block.corners[i, j], np.zeros(2)) for i in (0, 1) for j in (0, 1)}
+        sides = {}
+        for k in (0, 1):
+            for name, (a, b) in (("xi", ((0, k), (1, k))), ("eta", ((k, 0), (k, 1)))):
+                start, end = block.corners[a], block.corners[b]
+                sides[name, k] = found(0.5 * (start + end), end - start)
+        rows = np.zeros(((degree + 1) ** 2, 4))
+        for i in range(degree + 1):
+            for j in range(degree + 1):
+                if i < 2 and j < 2:
+                    who, _, offset = corner[i, j]
+                    at, sign = place(0, ("s", who), 1), 1.0
+                elif i < 2 or j < 2:
+                    who, opposite, offset = sides[("xi", j) if j < 2 else ("eta", i)]
+                    order = max(i, j)
+                    at, sign = place(0, ("s", who), degree - 1) + order - 2, (-1.0) ** order if opposite else 1.0
+                else:
+                    at, sign, offset = place(0, ("b", number), (degree - 1) ** 2), 1.0, np.zeros(2)
+                    at += (i - 2) * (degree - 1) + j - 2
+                rows[i * (degree + 1) + j] = at, sign, *offset
+        parts[0].append(rows)
+        rows = np.zeros((2 * degree * (degree + 1), 4))
+        for name, first in (("xi", 0), ("eta", degree * (degree + 1))):
+            for order in range(degree):
+                for k in range(degree + 1):
+                    local = order * (degree + 1) + k if name == "xi" else k * degree + order
+                    if k < 2:
+                        who, opposite, offset = sides[name, k]
+                        at, sign = place(1, ("s", who), degree) + order, (-1.0) ** (order + 1) if opposite else 1.0
+                    else:
+                        at = place(1, ("b" + name, number), degree * (degree - 1)) + order * (degree - 1) + k - 2
+                        sign, offset = 1.0, np.zeros(2)
+                    rows[first + local] = at, sign, *offset
+        parts[1].append(rows)
+    node, edge = (
+        (rows[:, 0].astype(np.intp), rows[:, 1], rows[:, 2:]) for rows in map(np.concatenate, parts)
+    )  # fmt: skip
+    return node, edge
