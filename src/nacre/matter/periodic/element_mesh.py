@@ -21,6 +21,8 @@ from nacre.matter.periodic.structure import Cell
 from nacre.matter.periodic.types import Array
 
 CORE = 0.55  # corners of the innermost blocks, over the first wall's distance
+STEPS = (0.15, 0.0225, 0.0034)  # ends of thin blocks, over the radial line from a wall
+THIN = 2  # degrees less along the radial lines there
 EXTRA_POINTS = 6  # of the integrals, beyond the degree: sides are curved
 
 
@@ -70,37 +72,58 @@ class Block:
     """A map of (-1, 1) x (-1, 1): radial lines between an inner and an outer side, or a quadrilateral.
 
     Attributes:
-        corners: `[2, 2, 2]`, x and y at xi = -1, 1 and eta = -1, 1.
+        ends: `[2, 2, 2]`, x and y on the inner and on the outer side, at eta = -1, 1.
+        degrees: of the continuous functions along xi and along eta.
         walls: inner and outer oval; None: a straight side.
         angles: of both radial lines.
+        span: part of the radial lines, from the inner side.
     """
 
     region: int
-    corners: Array
+    ends: Array
+    degrees: tuple[int, int]
     walls: tuple[Oval | None, Oval | None] = (None, None)
     angles: tuple[float, float] = (0.0, 0.0)
+    span: tuple[float, float] = (0.0, 1.0)
 
     @property
-    def length(self) -> float:
-        """Longest distance between corners along a side."""
+    def corners(self) -> Array:
+        """Return x and y `[2, 2, 2]` at xi = -1, 1 and eta = -1, 1."""
+        part = np.array(self.span)[:, None, None]
+        return np.asarray((1.0 - part) * self.ends[0] + part * self.ends[1])
+
+    @property
+    def lengths(self) -> tuple[float, float]:
+        """Longest distance of the corners along xi and along eta."""
         c = self.corners
-        return float(max(np.hypot(*(c[0] - c[1]).T).max(), np.hypot(*(c[:, 0] - c[:, 1]).T).max()))
+        return float(np.hypot(*(c[0] - c[1]).T).max()), float(np.hypot(*(c[:, 0] - c[:, 1]).T).max())
 
     def at(self, xi: Array, eta: Array) -> Array:
         """Return x and y `[2, point]` from the centre."""
         sides = []
+        part = self.span[0] + 0.5 * (xi + 1.0) * (self.span[1] - self.span[0])
         angle = self.angles[0] + 0.5 * (eta + 1.0) * (self.angles[1] - self.angles[0])
         for k, wall in enumerate(self.walls):
-            start, end = self.corners[k]
+            start, end = self.ends[k]
             if wall is None:
                 side = start[:, None] + (end - start)[:, None] * 0.5 * (eta + 1.0)
             else:
                 side = wall.radius(angle) * np.array([np.cos(angle), np.sin(angle)])
             sides.append(side)
-        return np.asarray(0.5 * (1.0 - xi) * sides[0] + 0.5 * (1.0 + xi) * sides[1])
+        return np.asarray((1.0 - part) * sides[0] + part * sides[1])
 
 
-def _blocks(cell: Cell, walls: tuple[Oval, ...]) -> list[Block]:
+def _spans(first: bool, last: bool) -> list[tuple[float, float, bool]]:
+    """Return parts of a radial line that are graded towards the walls at its ends, and whether each is thin."""
+    low = [*STEPS[::-1]] if first else []
+    high = [1.0 - step for step in STEPS] if last else []
+    edges = [0.0, *low, *high, 1.0]
+    return [
+        (a, b, k < len(low) or k > len(low) and k >= len(edges) - 1 - len(high)) for k, (a, b) in enumerate(zip(edges, edges[1:], strict=False))
+    ]
+
+
+def _blocks(cell: Cell, walls: tuple[Oval, ...], degree: int) -> list[Block]:
     corners = cell_corners(cell)
     angles = np.unwrap(np.arctan2(corners[:, 1], corners[:, 0]))
     angles = np.append(angles, angles[0] + 2.0 * np.pi)
@@ -111,16 +134,20 @@ def _blocks(cell: Cell, walls: tuple[Oval, ...]) -> list[Block]:
     curves: list[Oval | None] = [None, *walls, None]
     found = []
     for k in range(len(rings) - 1):
-        for j in range(len(corners)):
-            at = np.array([[rings[k][j], rings[k][j + 1]], [rings[k + 1][j], rings[k + 1][j + 1]]])
-            found.append(Block(k, at, (curves[k], curves[k + 1]), (angles[j], angles[j + 1])))
-    inner = rings[0]
+        for start, end, is_thin in _spans(k > 0, k < len(walls)):
+            own = (max(degree - THIN, 2) if is_thin else degree, degree)
+            for j in range(len(corners)):
+                at = np.array([[rings[k][j], rings[k][j + 1]], [rings[k + 1][j], rings[k + 1][j + 1]]])
+                found.append(
+                    Block(k, at, own, (curves[k], curves[k + 1]), (angles[j], angles[j + 1]), (start, end))
+                )  # fmt: skip
+    inner, both = rings[0], (degree, degree)
     if len(corners) == 4:
-        found.append(Block(0, np.array([[inner[0], inner[3]], [inner[1], inner[2]]])))
+        found.append(Block(0, np.array([[inner[0], inner[3]], [inner[1], inner[2]]]), both))
     else:
         middle = np.zeros(2)
         found += [
-            Block(0, np.array([[middle, inner[j + 2]], [inner[j], inner[j + 1]]])) for j in (0, 2, 4)
+            Block(0, np.array([[middle, inner[j + 2]], [inner[j], inner[j + 1]]]), both) for j in (0, 2, 4)
         ]  # fmt: skip
     return found
 
@@ -191,12 +218,12 @@ class ElementMesh:
             numbers: `[order, 2]`.
         """
         vectors = self.cell.wave_vectors(numbers) + wave
-        longest = max(block.length for block in self.blocks)
-        count = self.degree // 2 + 8 + int(0.5 * np.hypot(*vectors.T).max() * longest)
+        most = float(np.hypot(*vectors.T).max())
         bases = self.cell.wave_vectors(np.eye(2))
         low, high = numbers.min(axis=0), numbers.max(axis=0)
         found = np.empty((2, len(self.edge[0]), len(numbers)), dtype=complex)
-        for k, (at, weighted) in enumerate(_weighted(self.blocks, self.degree, count)):
+        row = 0
+        for at, weighted in _weighted(self.blocks, round(most * 1e6)):
             powers = [
                 np.exp(1j * np.outer(at.T @ basis, np.arange(a, b + 1)))
                 for basis, a, b in zip(bases, low, high, strict=True)
@@ -204,22 +231,41 @@ class ElementMesh:
             powers[0] *= np.exp(1j * (at.T @ wave))[:, None]
             values = powers[0][:, numbers[:, 0] - low[0]] * powers[1][:, numbers[:, 1] - low[1]]
             own = weighted @ np.ascontiguousarray(values).view(float)  # real products take half the time
-            found[:, k * weighted.shape[1] : (k + 1) * weighted.shape[1]] = np.ascontiguousarray(own).view(complex)
+            found[:, row : row + weighted.shape[1]] = np.ascontiguousarray(own).view(complex)
+            row += weighted.shape[1]
         return found
 
 
 @lru_cache(maxsize=2)
-def _weighted(blocks: tuple[Block, ...], degree: int, count: int) -> tuple[tuple[Array, Array], ...]:
-    """Return the points of each block, and x and y of its edge functions times weights `[2, function, point]`."""
-    n, d, _ = shape_functions(degree, count)
-    x, w = gauss_legendre(count)
-    xi, eta = (axis.ravel() for axis in np.meshgrid(x, x, indexing="ij"))
-    both = _product(d, n), _product(n, d)
+def _weighted(blocks: tuple[Block, ...], most: int) -> tuple[tuple[Array, Array], ...]:
+    """Return the points of each block, and x and y of its edge functions times weights `[2, function, point]`.
+
+    Args:
+        most: largest wave number, in 1e-6 / nm.
+    """
     found = []
     for block in blocks:
+        counts = tuple(
+            degree // 2 + 8 + int(0.5e-6 * most * length)
+            for degree, length in zip(block.degrees, block.lengths, strict=True)
+        )
+        both, _, (xi, eta), weight = _square(block.degrees, (counts[0], counts[1]))
         at, a, b = _mapped(block, xi, eta)
-        found.append((at, _fields(both, a, b) * np.outer(w, w).ravel()))
+        found.append((at, _fields(both, a, b) * weight))
     return tuple(found)
+
+
+@lru_cache(maxsize=16)
+def _square(
+    degrees: tuple[int, int], counts: tuple[int, int]
+) -> tuple[tuple[Array, Array], tuple[Array, Array, Array], tuple[Array, Array], Array]:
+    """Return the edge functions along xi and eta; continuous ones, curls and gradients; points; weights."""
+    (n, d, slope), (m, e, tilt) = (shape_functions(*each) for each in zip(degrees, counts, strict=True))
+    (x, w), (y, v) = (gauss_legendre(count) for count in counts)
+    xi, eta = (axis.ravel() for axis in np.meshgrid(x, y, indexing="ij"))
+    turned = np.concatenate([-_product(d, tilt @ e), _product(slope @ d, e)])
+    step = np.concatenate([np.kron(slope, np.eye(len(m))).T, np.kron(np.eye(len(n)), tilt).T])
+    return (_product(d, m), _product(n, e)), (_product(n, m), turned, step), (xi, eta), np.outer(w, v).ravel()
 
 
 def _product(first: Array, second: Array) -> Array:
@@ -239,41 +285,32 @@ def _fields(both: tuple[Array, Array], a: Array, b: Array) -> Array:
     )
 
 
-def edge_count(cell: Cell, walls: int, degree: int) -> int:
+def edge_count(cell: Cell, walls: tuple[Oval, ...], degree: int) -> int:
     """Return the number of joined edge functions."""
-    blocks = 4 * (walls + 1) + 1 if cell.is_rectangular else 6 * (walls + 1) + 3
-    return 2 * blocks * degree**2
+    return sum(2 * block.degrees[0] * block.degrees[1] for block in _blocks(cell, walls, degree))
 
 
 @lru_cache(maxsize=6)
 def element_mesh(cell: Cell, walls: tuple[Oval, ...], degree: int) -> ElementMesh:
     """Return the elements for nested ovals about one centre, from the innermost."""
-    blocks = _blocks(cell, walls)
-    count = degree + EXTRA_POINTS
-    n, d, slope = shape_functions(degree, count)
-    x, w = gauss_legendre(count)
-    xi, eta = (axis.ravel() for axis in np.meshgrid(x, x, indexing="ij"))
-    weight = np.outer(w, w).ravel()
-
-    slope_n = slope @ d
-    along, across, nodal = _product(d, n), _product(n, d), _product(n, n)
-    turned = np.concatenate([-_product(d, slope_n), _product(slope_n, d)])  # the curl on the square
-    one = np.eye(degree + 1)
-    step = np.concatenate([np.kron(slope, one).T, np.kron(one, slope).T])
+    blocks = _blocks(cell, walls, degree)
     masses: list[list[Array]] = [[] for _ in range(len(walls) + 1)]
     heights: list[list[Array]] = [[] for _ in range(len(walls) + 1)]
-    rotation = []
+    rotation, steps = [], []
     for block in blocks:
+        counts = block.degrees[0] + EXTRA_POINTS, block.degrees[1] + EXTRA_POINTS
+        both, (nodal, turned, step), (xi, eta), weight = _square(block.degrees, counts)
         _, a, b = _mapped(block, xi, eta)
         area = a[0] * b[1] - b[0] * a[1]
-        fields = _fields((along, across), a, b)
+        fields = _fields(both, a, b)
         mass = np.einsum("cip,cjp->ij", fields * (weight / area), fields, optimize=True)
         height = (nodal * (weight * area)) @ nodal.T
         for k in range(len(masses)):
             masses[k].append(mass if k == block.region else np.zeros_like(mass))
             heights[k].append(height if k == block.region else np.zeros_like(height))
         rotation.append((turned * (weight / area)) @ turned.T)
-    node, edge = _numbered(cell, blocks, degree)
+        steps.append(step)
+    node, edge = _numbered(cell, blocks)
 
     def diagonal(parts: list[Array]) -> scipy.sparse.csr_matrix:
         made = scipy.sparse.csr_matrix(scipy.sparse.block_diag(parts))
@@ -282,7 +319,7 @@ def element_mesh(cell: Cell, walls: tuple[Oval, ...], degree: int) -> ElementMes
 
     return ElementMesh(
         cell, degree, len(blocks), tuple(diagonal(m) for m in masses), tuple(diagonal(h) for h in heights),
-        diagonal(rotation), diagonal([step] * len(blocks)), edge, node, tuple(blocks),
+        diagonal(rotation), diagonal(steps), edge, node, tuple(blocks),
         (int(edge[0].max()) + 1, int(node[0].max()) + 1),
     )  # fmt: skip
 
@@ -303,7 +340,7 @@ def _mapped(block: Block, xi: Array, eta: Array) -> tuple[Array, Array, Array]:
 Numbered = tuple[NDArray[np.intp], Array, Array]
 
 
-def _numbered(cell: Cell, blocks: list[Block], degree: int) -> tuple[Numbered, Numbered]:
+def _numbered(cell: Cell, blocks: list[Block]) -> tuple[Numbered, Numbered]:
     """Return the joined numbers, signs and offsets of the local continuous and edge functions."""
     lattice = np.array(
         [[cell.period_x, 0.0], [np.cos(cell.angle_rad), np.sin(cell.angle_rad)]]
@@ -339,33 +376,37 @@ def _numbered(cell: Cell, blocks: list[Block], degree: int) -> tuple[Numbered, N
             for name, (a, b) in (("xi", ((0, k), (1, k))), ("eta", ((k, 0), (k, 1)))):
                 start, end = block.corners[a], block.corners[b]
                 sides[name, k] = found(0.5 * (start + end), end - start)
-        rows = np.zeros(((degree + 1) ** 2, 4))
-        for i in range(degree + 1):
-            for j in range(degree + 1):
+        p = block.degrees
+        rows = np.zeros(((p[0] + 1) * (p[1] + 1), 4))
+        for i in range(p[0] + 1):
+            for j in range(p[1] + 1):
                 if i < 2 and j < 2:
                     who, _, offset = corner[i, j]
                     at, sign = place(0, ("s", who), 1), 1.0
                 elif i < 2 or j < 2:
                     who, opposite, offset = sides[("xi", j) if j < 2 else ("eta", i)]
                     order = max(i, j)
-                    at, sign = place(0, ("s", who), degree - 1) + order - 2, (-1.0) ** order if opposite else 1.0
+                    at = place(0, ("s", who), p[j >= 2] - 1) + order - 2
+                    sign = (-1.0) ** order if opposite else 1.0
                 else:
-                    at, sign, offset = place(0, ("b", number), (degree - 1) ** 2), 1.0, np.zeros(2)
-                    at += (i - 2) * (degree - 1) + j - 2
-                rows[i * (degree + 1) + j] = at, sign, *offset
+                    at, sign, offset = place(0, ("b", number), (p[0] - 1) * (p[1] - 1)), 1.0, np.zeros(2)
+                    at += (i - 2) * (p[1] - 1) + j - 2
+                rows[i * (p[1] + 1) + j] = at, sign, *offset
         parts[0].append(rows)
-        rows = np.zeros((2 * degree * (degree + 1), 4))
-        for name, first in (("xi", 0), ("eta", degree * (degree + 1))):
-            for order in range(degree):
-                for k in range(degree + 1):
-                    local = order * (degree + 1) + k if name == "xi" else k * degree + order
+        rows = np.zeros((p[0] * (p[1] + 1) + (p[0] + 1) * p[1], 4))
+        for axis, name in enumerate(("xi", "eta")):
+            for order in range(p[axis]):
+                for k in range(p[1 - axis] + 1):
+                    local = order * (p[1] + 1) + k if axis == 0 else p[0] * (p[1] + 1) + k * p[1] + order
                     if k < 2:
                         who, opposite, offset = sides[name, k]
-                        at, sign = place(1, ("s", who), degree) + order, (-1.0) ** (order + 1) if opposite else 1.0
+                        at = place(1, ("s", who), p[axis]) + order
+                        sign = (-1.0) ** (order + 1) if opposite else 1.0
                     else:
-                        at = place(1, ("b" + name, number), degree * (degree - 1)) + order * (degree - 1) + k - 2
+                        own = p[1 - axis] - 1
+                        at = place(1, ("b" + name, number), p[axis] * own) + order * own + k - 2
                         sign, offset = 1.0, np.zeros(2)
-                    rows[first + local] = at, sign, *offset
+                    rows[local] = at, sign, *offset
         parts[1].append(rows)
     node, edge = (
         (rows[:, 0].astype(np.intp), rows[:, 1], rows[:, 2:]) for rows in map(np.concatenate, parts)

@@ -7,20 +7,24 @@ weighted by the permittivity, the fields in a layer obey
     df/dz = i Q e,  Q = M_epsilon - C* C.
 
 Without loss P and Q are Hermitian, so that energy and reciprocity hold at any size. The elements carry the walls
-exactly, so there is no factorisation rule. Films above and below change the admittances of the plane waves outside.
+exactly and are graded towards them, where the rims are singular. In homogeneous media the discrete curls and
+gradients separate, since C G = 0: both have modes that depend on neither wavelength nor index, and serve as plane
+waves in every medium. The orders that propagate replace the lowest of them, so that Rayleigh anomalies are exact.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.linalg
+import scipy.sparse
 
 from nacre.matter.periodic.crossed_solver import Answer, joined_answers
-from nacre.matter.periodic.element_mesh import CORE, ElementMesh, Oval, cell_corners, edge_count, element_mesh
-from nacre.matter.periodic.lamellar_solver import GRAZING, is_patterned, through
-from nacre.matter.periodic.scattering_matrix import outgoing_root, slab
+from nacre.matter.periodic.element_mesh import ElementMesh, Oval, edge_count, element_mesh
+from nacre.matter.periodic.lamellar_solver import GRAZING, is_patterned
+from nacre.matter.periodic.scattering_matrix import Modes, Slab, outgoing_root, respond, scatter, slab
 from nacre.matter.periodic.structure import (
     Cell,
     OrderSolution,
@@ -33,8 +37,8 @@ from nacre.matter.periodic.structure import (
 )
 from nacre.matter.periodic.types import Array
 
-ELEMENT_STEPS = (4, 5, 6, 7, 8)  # degrees
-WAVES = 2.0  # plane waves over edge functions of one component
+ELEMENT_STEPS = (3, 4, 5)  # degrees
+BEYOND = 1.3  # orders with a wave number up to this times the largest that propagates are exact
 
 
 def ovals(stack: PeriodicStack) -> tuple[Oval, ...]:
@@ -53,120 +57,145 @@ def ovals(stack: PeriodicStack) -> tuple[Oval, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Face:
-    """Plane waves outside of one face: f = admittance e - source there, s and p apart.
+class _Basis:
+    """Discrete plane waves of one Bloch phase: s and p of the exact orders, then the other modes.
 
     Attributes:
-        admittance: `[2, wave]`.
+        numbers: `[order, 2]`, the exact orders.
+        edge, node: joints of the mesh.
+        vectors: `[edge function, mode]`, orthonormal.
+        gradient: `[mode, continuous function]`.
+        curls: `[mode, mode]` of the curl times the curl, in 1/nm^2.
+        squared: `[mode]`, squared wave numbers in 1/nm^2.
+        is_p: `[mode]`.
+        axes: `[order, 2]`, direction of the transverse wave vector.
     """
 
-    admittance: Array
+    mesh: ElementMesh
+    numbers: Array
+    edge: scipy.sparse.csr_matrix
+    node: scipy.sparse.csr_matrix
+    vectors: Array
+    gradient: Array
+    curls: Array
+    squared: Array
+    is_p: Array
+    axes: Array
+
+    def modes(self, epsilon: complex, k0: float, held: tuple[Array, float] | None = None) -> Modes:
+        """Return the modes of a homogeneous medium.
+
+        Args:
+            held: numbers of orders that have a constant admittance instead, and its value.
+        """
+        rest = epsilon - self.squared / k0**2
+        gamma = outgoing_root(np.where(np.abs(rest) < GRAZING, GRAZING, rest))
+        admittance = np.where(self.is_p, epsilon / gamma, gamma)
+        if held is not None:
+            admittance[held[0]] = admittance[len(self.numbers) + held[0]] = held[1]
+        y = admittance[:, None]
+        return Modes(gamma, lambda e: e, lambda h: h / y, lambda e: e, lambda e: y * e)
+
+    def channel(self, order: int) -> Array:
+        """Return E_x and E_y of an exact order `[mode, 2]`."""
+        t_x, t_y = self.axes[order]
+        found = np.zeros((len(self.squared), 2))
+        found[order] = -t_y, t_x
+        found[len(self.numbers) + order] = t_x, t_y
+        return found
 
 
-def _admittance(epsilon: complex, squared: Array) -> tuple[Array, Array]:
-    """Return f / e `[2, wave]` (s, p) of waves that go up, and k_z over k0."""
-    rest = epsilon - squared
-    gamma = outgoing_root(np.where(np.abs(rest) < GRAZING, GRAZING, rest))
-    return np.stack([gamma, epsilon / gamma]), gamma
-
-
-def solve_elements(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, degree: int, waves_ratio=WAVES) -> OrderSolution:
-    cell, walls = stack.cell, ovals(stack)
-    check_unknowns(edge_count(cell, len(walls), degree), k0)
+@lru_cache(maxsize=2)
+def _basis(
+    cell: Cell, walls: tuple[Oval, ...], degree: int, wave: tuple[float, float], numbers: tuple[tuple[int, int], ...]
+) -> _Basis:  # fmt: skip
     mesh = element_mesh(cell, walls, degree)
-    transverse, _, _ = incident_wave(stack, theta_rad, phi_rad)
-    edge, node = mesh.joints(transverse * k0)
-    size = edge.shape[1]
-    patterned = [k for k, layer in enumerate(stack.layers) if is_patterned(layer)]
-    first, last = patterned[0], patterned[-1]
-    # plane waves
+    first, orders = np.array(wave), np.array(numbers)
+    edge, node = mesh.joints(first)
+    assert cell.period_y is not None
     area = cell.period_x * cell.period_y * np.sin(cell.angle_rad)
-    reach = np.sqrt(waves_ratio * size / 2 * 4 * np.pi / area)
-    span = [int(reach * p / (2 * np.pi)) + 2 for p in (cell.period_x, cell.period_y)]
-    span = [int(reach * p * 1.2 / (2 * np.pi)) + 2 for p in (cell.period_x, cell.period_y)]
-    grid = np.stack(np.meshgrid(*[np.arange(-t, t + 1) for t in span], indexing="ij"), axis=-1).reshape(-1, 2)
-    vectors = cell.wave_vectors(grid) + transverse * k0
-    keep = np.hypot(*vectors.T) < reach
-    grid, vectors = grid[keep], vectors[keep]
-    waves = vectors / k0
-    x, y = mesh.plane_waves(transverse * k0, grid)
-    x, y = (edge.conj().T @ part / np.sqrt(area) for part in (x, y))
-    length = np.hypot(*waves.T)
-    t = np.where(length[:, None] < 1e-12, [1.0, 0.0], waves / np.maximum(length, 1e-12)[:, None])
-    joint = np.stack([-t[:, 1] * x + t[:, 0] * y, t[:, 0] * x + t[:, 1] * y])
+    vectors = cell.wave_vectors(orders) + first
+    length = np.hypot(*vectors.T)
+    is_normal = length < 1e-12 * np.sqrt(area)
+    axes = np.where(is_normal[:, None], [1.0, 0.0], vectors / np.where(is_normal, 1.0, length)[:, None])
+    x, y = (edge.conj().T @ part / np.sqrt(area) for part in mesh.plane_waves(first, orders))
+    exact = np.hstack([axes[:, 1] * -x + axes[:, 0] * y, axes[:, 0] * x + axes[:, 1] * y])
+    whole = sum(mesh.masses)
+    low = np.linalg.cholesky(_folded(whole, edge).toarray())
 
-    def fold(matrix, by):
-        return (by.conj().T @ (matrix @ by)).toarray()
+    def solved(m: Array) -> Array:
+        return np.asarray(scipy.linalg.solve_triangular(low, m, lower=True, check_finite=False))
 
-    mass = fold(sum(mesh.masses), edge)
-    low = np.linalg.cholesky(mass)
-    def solved(m):
-        return scipy.linalg.solve_triangular(low, m, lower=True, check_finite=False)
-    gradient = solved((edge.conj().T @ (sum(mesh.masses) @ (mesh.gradient @ node))).toarray())
-    turned = solved(solved(fold(mesh.rotation, edge)).conj().T)/k0**2
-    joint = np.stack([solved(j) for j in joint])
-    joint = joint  # <w, phi> in orthonormal functions
-    layers = []
-    for layer in stack.layers[first : last + 1]:
+    gradient = solved((edge.conj().T @ (whole @ (mesh.gradient @ node))).toarray())
+    curls = solved(solved(_folded(mesh.rotation, edge).toarray()).conj().T)
+    heights = np.linalg.cholesky(_folded(sum(mesh.heights), node).toarray())
+    steps = scipy.linalg.solve_triangular(heights, gradient.conj().T, lower=True, check_finite=False)
+    difference = curls - steps.conj().T @ steps
+    # the nearest orthonormal vectors to the exact orders, and their complement
+    left, _, right = np.linalg.svd(solved(exact), full_matrices=False)
+    exact = left @ right
+    rest = scipy.linalg.qr(exact)[0][:, exact.shape[1] :]
+    values, own = np.linalg.eigh(rest.conj().T @ difference @ rest)
+    every = np.hstack([exact, rest @ own])
+    return _Basis(
+        mesh, orders, edge, node,
+        scipy.linalg.solve_triangular(low.conj().T, every, check_finite=False),
+        every.conj().T @ gradient, every.conj().T @ curls @ every,
+        np.concatenate([length**2, length**2, np.abs(values)]),
+        np.concatenate([np.zeros(len(orders), dtype=bool), np.ones(len(orders), dtype=bool), values < 0.0]), axes,
+    )  # fmt: skip
+
+
+def _folded(matrix: scipy.sparse.csr_matrix, joint: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
+    return joint.conj().T @ (matrix @ joint)
+
+
+def _layers(stack: PeriodicStack, walls: tuple[Oval, ...], basis: _Basis, k0: float) -> list[Modes | Slab]:
+    found: list[Modes | Slab] = []
+    one = np.eye(len(basis.squared))
+    for layer in stack.layers:
+        if not is_patterned(layer):
+            found.append(basis.modes(layer.epsilon, k0))
+            continue
         values = _values(layer, walls)
-        m = fold(sum(v * m for v, m in zip(values, mesh.masses)), edge)
-        m = solved(solved(m).conj().T).conj().T
-        h = fold(sum(v * m for v, m in zip(values, mesh.heights)), node) * k0**2
-        p = np.eye(size) - gradient @ np.linalg.solve(h, gradient.conj().T)
-        q = m - turned
-        s = slab(p, q, layer.thickness_nm * k0)
-        layers.append((s.even[None], s.odd[None]))
-    squared = length**2
-    zero = int(np.flatnonzero((grid == 0).all(axis=1))[0])
-    # outside above
-    source = np.zeros((2, len(grid), 2), dtype=complex)
-    admittance, _ = _admittance(stack.cover**2, squared)
-    light = np.array([[-t[zero, 1], t[zero, 0]], [t[zero, 0], t[zero, 1]]])  # (s, p) of E_x = 1, E_y = 1
-    source[:, zero] = 2 * admittance[:, zero, None] * light
-    ups = []
-    for layer in stack.layers[:first]:
-        own, gamma = _admittance(layer.epsilon, squared)
-        q = np.exp(1j * gamma * layer.thickness_nm * k0)
-        rho = (own - admittance) / (own + admittance)
-        sigma = source / (own + admittance)[..., None]
-        below = 1 + rho * q**2
-        ups.append((q, rho, sigma, below))
-        source = (2 * own * q / below)[..., None] * sigma
-        admittance = own * (1 - rho * q**2) / below
-    lower, _ = _admittance(stack.substrate**2, squared)
-    downs = []
-    for layer in reversed(stack.layers[last + 1 :]):
-        own, gamma = _admittance(layer.epsilon, squared)
-        q = np.exp(1j * gamma * layer.thickness_nm * k0)
-        rho = (own - lower) / (own + lower)
-        downs.append(q * (1 + rho) / (1 + rho * q**2))
-        lower = own * (1 - rho * q**2) / (1 + rho * q**2)
+        mass, height = (
+            _folded(sum(v * part for v, part in zip(values, parts, strict=True)), joint)
+            for parts, joint in ((basis.mesh.masses, basis.edge), (basis.mesh.heights, basis.node))
+        )
+        q = basis.vectors.conj().T @ (mass @ basis.vectors) - basis.curls / k0**2
+        p = one - basis.gradient @ np.linalg.solve(height.toarray() * k0**2, basis.gradient.conj().T)
+        found.append(slab(p, q, layer.thickness_nm * k0))
+    return found
 
-    def surface(y):
-        flat = np.concatenate([joint[0], joint[1]], axis=1)
-        return (flat * np.concatenate([y[0], y[1]])) @ flat.conj().T
 
-    drive = sum(j @ s for j, s in zip(joint, source))
-    top, bottom = through(surface(admittance)[None], layers, surface(lower)[None], drive[None])
-    up = np.stack([j.conj().T @ top[0] for j in joint])
-    down = np.stack([j.conj().T @ bottom[0] for j in joint])
-    for q, rho, sigma, below in reversed(ups):
-        a = (up - sigma * q[..., None]) / below[..., None]
-        up = a * (q * (1 + rho))[..., None] + sigma
-    for factor in reversed(downs):
-        down = down * factor[..., None]
-    up[:, zero] -= light
+def _made(
+    stack: PeriodicStack, k0: float, transverse: Array, degree: int, least: Array | None = None
+) -> tuple[_Basis, list[Modes | Slab]]:
+    cell, walls = stack.cell, ovals(stack)
+    check_unknowns(edge_count(cell, walls, degree), k0)
+    numbers, _ = propagating(stack, k0, transverse, BEYOND * stack.reach)
+    if least is not None:
+        numbers = np.unique(np.concatenate([numbers, least]), axis=0)
+    wave = float(transverse[0] * k0), float(transverse[1] * k0)
+    basis = _basis(cell, walls, degree, wave, tuple((int(m), int(n)) for m, n in numbers))
+    return basis, _layers(stack, walls, basis, k0)
+
+
+def solve_elements(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, degree: int) -> OrderSolution:
+    """Return the orders of layers with nested ovals about one centre."""
+    transverse, _, _ = incident_wave(stack, theta_rad, phi_rad)
+    basis, layers = _made(stack, k0, transverse, degree)
+    places = {(int(m), int(n)): k for k, (m, n) in enumerate(basis.numbers)}
+    fields = scatter(
+        basis.modes(stack.cover**2, k0), layers, [layer.thickness_nm * k0 for layer in stack.layers],
+        basis.modes(stack.substrate**2, k0), basis.channel(places[0, 0]).astype(complex),
+    )  # fmt: skip
     sides = []
-    for fields, index, used in ((up, stack.cover, True), (down, stack.substrate.real, stack.is_clear)):
-        d = {}
-        e_x = -t[:, 1, None] * fields[0] + t[:, 0, None] * fields[1]
-        e_y = t[:, 0, None] * fields[0] + t[:, 1, None] * fields[1]
-        places = {(int(m), int(n)): k for k, (m, n) in enumerate(grid)}
-        for m, n in propagating(stack, k0, transverse, index)[0] if used else ():
-            k = places[int(m), int(n)]
-            d[int(m), int(n)] = np.stack([e_x[k], e_y[k]])
-        sides.append(d)
-    return joined_answers(stack, k0, theta_rad, phi_rad, [Answer(sides[0], sides[1], size)], "elements")
+    for e, index in zip(fields, (stack.cover, stack.substrate.real if stack.is_clear else 0.0), strict=True):
+        numbers, _ = propagating(stack, k0, transverse, index)
+        sides.append({(int(m), int(n)): basis.channel(places[int(m), int(n)]).T @ e for m, n in numbers})
+    answer = Answer(sides[0], sides[1], len(basis.squared))
+    return joined_answers(stack, k0, theta_rad, phi_rad, [answer], "elements")
 
 
 def _values(layer: PatternLayer, walls: tuple[Oval, ...]) -> list[complex]:

@@ -217,7 +217,7 @@ def lamellar_responses(stack: PeriodicStack, k0: float, transverse: Array, upper
         drives.append(_blocks([[joints[0][:, :, at], empty], [empty, joints[1][:, :, at]]]))
     top, bottom = drives
     states = _layer_states(stacks, space, np.repeat(values[None], count, axis=0), np.full(count, k0), k_y)
-    upper_face, lower_face = through(
+    upper_face, lower_face = _through(
         _surface(joints, sides[0]), [_joined(space, k_y, *s) for s in states], _surface(joints, sides[1]),
         np.concatenate([top, np.zeros_like(bottom)], axis=2), np.concatenate([np.zeros_like(top), bottom], axis=2),
     )  # fmt: skip
@@ -384,7 +384,7 @@ def _scattered(
             for a, row in zip(joints, above, strict=True)
         ], axis=1,
     )  # fmt: skip
-    faces = through(_surface(joints, above), layers, _surface(joints, below), 2.0 * source)
+    faces = _through(_surface(joints, above), layers, _surface(joints, below), 2.0 * source)
     upper, lower = (
         np.stack(
             [a.conj().swapaxes(1, 2) @ part for a, part in zip(joints, np.split(e, len(joints), axis=1), strict=True)],
@@ -395,7 +395,7 @@ def _scattered(
     return upper, lower
 
 
-def through(
+def _through(
     above: Array, layers: list[tuple[Array, Array]], below: Array, source: Array, lower_source: Array | None = None
 ) -> tuple[Array, Array]:  # fmt: skip
     """Return e at the upper and at the lower face `[case, function, in]` for sources of f at both.
