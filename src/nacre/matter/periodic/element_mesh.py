@@ -20,9 +20,9 @@ from nacre.core.quadrature import gauss_legendre
 from nacre.matter.periodic.structure import Cell
 from nacre.matter.periodic.types import Array
 
+WIDE = 0.9  # walls nearer to the sides of an oblique cell, relative to its centre, need the hexagon
 CORE = 0.55  # corners of the innermost blocks, over the first wall's distance
-STEPS = (0.15, 0.0225, 0.0034)  # ends of thin blocks, over the radial line from a wall
-THIN = 2  # degrees less along the radial lines there
+THIN = 2  # degree of thin blocks along the radial lines
 EXTRA_POINTS = 6  # of the integrals, beyond the degree: sides are curved
 
 
@@ -42,14 +42,20 @@ class Oval:
         return np.asarray(self.a * self.b / np.hypot(self.b * np.cos(own), self.a * np.sin(own)))
 
 
-def cell_corners(cell: Cell) -> Array:
-    """Return the corners `[corner, 2]` of the cell about a node, counterclockwise."""
+def cell_corners(cell: Cell, walls: tuple[Oval, ...]) -> Array:
+    """Return the corners `[corner, 2]` of the cell about a node, counterclockwise: a hexagon if walls need it."""
     assert cell.period_y is not None
     first = np.array([cell.period_x, 0.0])
     second = cell.period_y * np.array([np.cos(cell.angle_rad), np.sin(cell.angle_rad)])
-    if cell.is_rectangular:
-        return np.array([0.5 * (s * first + t * second) for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-    # nearest nodes in the six directions of the hexagon, by reduction of the lattice
+    corners = np.array([0.5 * (s * first + t * second) for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    angles = np.linspace(-np.pi, np.pi, 181)
+    if cell.is_rectangular or np.all(walls[-1].radius(angles) < WIDE * _distance(corners, angles)):
+        return corners
+    return _hexagon(first, second)
+
+
+def _hexagon(first: Array, second: Array) -> Array:
+    """Return the corners `[6, 2]` of the region nearest to one node of a lattice."""
     while True:
         second = second - np.rint(second @ first / (first @ first)) * first
         if second @ second >= (first @ first) * (1.0 - 1e-12):
@@ -65,6 +71,23 @@ def cell_corners(cell: Cell) -> Array:
             for p, q in zip(around, np.roll(around, -1, axis=0), strict=True)
         ]
     )
+
+
+def _distance(corners: Array, angles: Array) -> Array:
+    """Return the distance of a polygon's sides from the centre along each angle."""
+    sides = np.roll(corners, -1, axis=0) - corners
+    normals = np.stack([sides[:, 1], -sides[:, 0]], axis=-1)
+    along = np.stack([np.cos(angles), np.sin(angles)], axis=-1) @ normals.T
+    depth = np.sum(normals * corners, axis=-1)
+    return np.asarray(np.min(np.where(along > 1e-12, depth / np.where(along > 1e-12, along, 1.0), np.inf), axis=1))
+
+
+def side_distance(cell: Cell, angles: Array) -> Array:
+    """Return the distance of the outermost sides that a mesh can have, from its centre."""
+    assert cell.period_y is not None
+    first = np.array([cell.period_x, 0.0])
+    second = cell.period_y * np.array([np.cos(cell.angle_rad), np.sin(cell.angle_rad)])
+    return _distance(cell_corners(cell, (Oval(0.0, 0.0, 1e-9, 1e-9),)) if cell.is_rectangular else _hexagon(first, second), angles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,18 +136,16 @@ class Block:
         return np.asarray((1.0 - part) * sides[0] + part * sides[1])
 
 
-def _spans(first: bool, last: bool) -> list[tuple[float, float, bool]]:
+def _spans(steps: tuple[float, ...], first: bool, last: bool) -> list[tuple[float, float, bool]]:
     """Return parts of a radial line that are graded towards the walls at its ends, and whether each is thin."""
-    low = [*STEPS[::-1]] if first else []
-    high = [1.0 - step for step in STEPS] if last else []
-    edges = [0.0, *low, *high, 1.0]
-    return [
-        (a, b, k < len(low) or k > len(low) and k >= len(edges) - 1 - len(high)) for k, (a, b) in enumerate(zip(edges, edges[1:], strict=False))
-    ]
+    edges = [0.0, *(steps[::-1] if first else ()), *(1.0 - step for step in steps if last), 1.0]
+    middle = len(steps) if first else 0
+    return [(a, b, k != middle) for k, (a, b) in enumerate(zip(edges, edges[1:], strict=False))]
 
 
-def _blocks(cell: Cell, walls: tuple[Oval, ...], degree: int) -> list[Block]:
-    corners = cell_corners(cell)
+def _blocks(cell: Cell, walls: tuple[Oval, ...], elements: tuple[int, tuple[float, ...]]) -> list[Block]:
+    degree, steps = elements
+    corners = cell_corners(cell, walls)
     angles = np.unwrap(np.arctan2(corners[:, 1], corners[:, 0]))
     angles = np.append(angles, angles[0] + 2.0 * np.pi)
     unit = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -134,8 +155,8 @@ def _blocks(cell: Cell, walls: tuple[Oval, ...], degree: int) -> list[Block]:
     curves: list[Oval | None] = [None, *walls, None]
     found = []
     for k in range(len(rings) - 1):
-        for start, end, is_thin in _spans(k > 0, k < len(walls)):
-            own = (max(degree - THIN, 2) if is_thin else degree, degree)
+        for start, end, is_thin in _spans(steps, k > 0, k < len(walls)):
+            own = (THIN if is_thin else degree, degree)
             for j in range(len(corners)):
                 at = np.array([[rings[k][j], rings[k][j + 1]], [rings[k + 1][j], rings[k + 1][j + 1]]])
                 found.append(
@@ -179,7 +200,6 @@ class ElementMesh:
     Matrices of blocks are those of all local functions, block after block; `folded` joins them. Lengths are in nm.
 
     Attributes:
-        count: blocks.
         masses: per region, of the edge functions (their scale does not depend on the unit of length).
         heights: per region, of the continuous functions.
         rotation: curl times curl of the edge functions.
@@ -190,8 +210,6 @@ class ElementMesh:
     """
 
     cell: Cell
-    degree: int
-    count: int
     masses: tuple[scipy.sparse.csr_matrix, ...]
     heights: tuple[scipy.sparse.csr_matrix, ...]
     rotation: scipy.sparse.csr_matrix
@@ -285,15 +303,19 @@ def _fields(both: tuple[Array, Array], a: Array, b: Array) -> Array:
     )
 
 
-def edge_count(cell: Cell, walls: tuple[Oval, ...], degree: int) -> int:
+def edge_count(cell: Cell, walls: tuple[Oval, ...], elements: tuple[int, tuple[float, ...]]) -> int:
     """Return the number of joined edge functions."""
-    return sum(2 * block.degrees[0] * block.degrees[1] for block in _blocks(cell, walls, degree))
+    return sum(2 * block.degrees[0] * block.degrees[1] for block in _blocks(cell, walls, elements))
 
 
 @lru_cache(maxsize=6)
-def element_mesh(cell: Cell, walls: tuple[Oval, ...], degree: int) -> ElementMesh:
-    """Return the elements for nested ovals about one centre, from the innermost."""
-    blocks = _blocks(cell, walls, degree)
+def element_mesh(cell: Cell, walls: tuple[Oval, ...], elements: tuple[int, tuple[float, ...]]) -> ElementMesh:
+    """Return the elements for nested ovals about one centre, from the innermost.
+
+    Args:
+        elements: degree, and ends of the thin blocks over the radial line from a wall, descending.
+    """
+    blocks = _blocks(cell, walls, elements)
     masses: list[list[Array]] = [[] for _ in range(len(walls) + 1)]
     heights: list[list[Array]] = [[] for _ in range(len(walls) + 1)]
     rotation, steps = [], []
@@ -318,7 +340,7 @@ def element_mesh(cell: Cell, walls: tuple[Oval, ...], degree: int) -> ElementMes
         return made
 
     return ElementMesh(
-        cell, degree, len(blocks), tuple(diagonal(m) for m in masses), tuple(diagonal(h) for h in heights),
+        cell, tuple(diagonal(m) for m in masses), tuple(diagonal(h) for h in heights),
         diagonal(rotation), diagonal(steps), edge, node, tuple(blocks),
         (int(edge[0].max()) + 1, int(node[0].max()) + 1),
     )  # fmt: skip
