@@ -26,6 +26,10 @@ THIN = 2  # degree of thin blocks along the radial lines
 EXTRA_POINTS = 6  # of the integrals, beyond the degree: sides are curved
 
 
+# degree along the walls, degree along the radial lines, and ends of the thin blocks over a radial line from a wall
+Elements = tuple[int, int, tuple[float, ...]]
+
+
 @dataclass(frozen=True)
 class Oval:
     """An ellipse: centre, half axes in nm, and the angle of the first."""
@@ -42,16 +46,23 @@ class Oval:
         return np.asarray(self.a * self.b / np.hypot(self.b * np.cos(own), self.a * np.sin(own)))
 
 
+def _vectors(cell: Cell) -> tuple[Array, Array]:
+    assert cell.period_y is not None
+    second = cell.period_y * np.array([np.cos(cell.angle_rad), np.sin(cell.angle_rad)])
+    return np.array([cell.period_x, 0.0]), second
+
+
+def _parallelogram(cell: Cell) -> Array:
+    first, second = _vectors(cell)
+    return np.array([0.5 * (s * first + t * second) for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+
+
 def cell_corners(cell: Cell, walls: tuple[Oval, ...]) -> Array:
     """Return the corners `[corner, 2]` of the cell about a node, counterclockwise: a hexagon if walls need it."""
-    assert cell.period_y is not None
-    first = np.array([cell.period_x, 0.0])
-    second = cell.period_y * np.array([np.cos(cell.angle_rad), np.sin(cell.angle_rad)])
-    corners = np.array([0.5 * (s * first + t * second) for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-    angles = np.linspace(-np.pi, np.pi, 181)
+    corners, angles = _parallelogram(cell), np.linspace(-np.pi, np.pi, 181)
     if cell.is_rectangular or np.all(walls[-1].radius(angles) < WIDE * _distance(corners, angles)):
         return corners
-    return _hexagon(first, second)
+    return _hexagon(*_vectors(cell))
 
 
 def _hexagon(first: Array, second: Array) -> Array:
@@ -84,10 +95,7 @@ def _distance(corners: Array, angles: Array) -> Array:
 
 def side_distance(cell: Cell, angles: Array) -> Array:
     """Return the distance of the outermost sides that a mesh can have, from its centre."""
-    assert cell.period_y is not None
-    first = np.array([cell.period_x, 0.0])
-    second = cell.period_y * np.array([np.cos(cell.angle_rad), np.sin(cell.angle_rad)])
-    return _distance(cell_corners(cell, (Oval(0.0, 0.0, 1e-9, 1e-9),)) if cell.is_rectangular else _hexagon(first, second), angles)
+    return _distance(_parallelogram(cell) if cell.is_rectangular else _hexagon(*_vectors(cell)), angles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,8 +151,8 @@ def _spans(steps: tuple[float, ...], first: bool, last: bool) -> list[tuple[floa
     return [(a, b, k != middle) for k, (a, b) in enumerate(zip(edges, edges[1:], strict=False))]
 
 
-def _blocks(cell: Cell, walls: tuple[Oval, ...], elements: tuple[int, tuple[float, ...]]) -> list[Block]:
-    degree, steps = elements
+def _blocks(cell: Cell, walls: tuple[Oval, ...], elements: Elements) -> list[Block]:
+    degree, radial, steps = elements
     corners = cell_corners(cell, walls)
     angles = np.unwrap(np.arctan2(corners[:, 1], corners[:, 0]))
     angles = np.append(angles, angles[0] + 2.0 * np.pi)
@@ -156,7 +164,7 @@ def _blocks(cell: Cell, walls: tuple[Oval, ...], elements: tuple[int, tuple[floa
     found = []
     for k in range(len(rings) - 1):
         for start, end, is_thin in _spans(steps, k > 0, k < len(walls)):
-            own = (THIN if is_thin else degree, degree)
+            own = (THIN if is_thin else radial, degree)
             for j in range(len(corners)):
                 at = np.array([[rings[k][j], rings[k][j + 1]], [rings[k + 1][j], rings[k + 1][j + 1]]])
                 found.append(
@@ -197,7 +205,7 @@ def shape_functions(degree: int, count: int) -> tuple[Array, Array, Array]:
 class ElementMesh:
     """Both spaces on one cell.
 
-    Matrices of blocks are those of all local functions, block after block; `folded` joins them. Lengths are in nm.
+    Matrices of blocks are those of all local functions, block after block; `joints` join them. Lengths are in nm.
 
     Attributes:
         masses: per region, of the edge functions (their scale does not depend on the unit of length).
@@ -236,22 +244,11 @@ class ElementMesh:
             numbers: `[order, 2]`.
         """
         vectors = self.cell.wave_vectors(numbers) + wave
-        most = float(np.hypot(*vectors.T).max())
-        bases = self.cell.wave_vectors(np.eye(2))
-        low, high = numbers.min(axis=0), numbers.max(axis=0)
-        found = np.empty((2, len(self.edge[0]), len(numbers)), dtype=complex)
-        row = 0
-        for at, weighted in _weighted(self.blocks, round(most * 1e6)):
-            powers = [
-                np.exp(1j * np.outer(at.T @ basis, np.arange(a, b + 1)))
-                for basis, a, b in zip(bases, low, high, strict=True)
-            ]
-            powers[0] *= np.exp(1j * (at.T @ wave))[:, None]
-            values = powers[0][:, numbers[:, 0] - low[0]] * powers[1][:, numbers[:, 1] - low[1]]
-            own = weighted @ np.ascontiguousarray(values).view(float)  # real products take half the time
-            found[:, row : row + weighted.shape[1]] = np.ascontiguousarray(own).view(complex)
-            row += weighted.shape[1]
-        return found
+        found = []
+        for at, weighted in _weighted(self.blocks, round(float(np.hypot(*vectors.T).max()) * 1e6)):
+            values = np.exp(1j * (at.T @ vectors.T)).view(float)  # real products take half the time
+            found.append(np.ascontiguousarray(weighted @ values).view(complex))
+        return np.concatenate(found, axis=1)
 
 
 @lru_cache(maxsize=2)
@@ -298,22 +295,20 @@ def _fields(both: tuple[Array, Array], a: Array, b: Array) -> Array:
         a, b: derivatives of x and y along xi and eta.
     """
     along, across = both
-    return np.stack(
-        [np.concatenate([b[1] * along, -a[1] * across]), np.concatenate([-b[0] * along, a[0] * across])]
-    )
+    return np.stack([np.concatenate([b[1] * along, -a[1] * across]), np.concatenate([-b[0] * along, a[0] * across])])
 
 
-def edge_count(cell: Cell, walls: tuple[Oval, ...], elements: tuple[int, tuple[float, ...]]) -> int:
+def edge_count(cell: Cell, walls: tuple[Oval, ...], elements: Elements) -> int:
     """Return the number of joined edge functions."""
     return sum(2 * block.degrees[0] * block.degrees[1] for block in _blocks(cell, walls, elements))
 
 
 @lru_cache(maxsize=6)
-def element_mesh(cell: Cell, walls: tuple[Oval, ...], elements: tuple[int, tuple[float, ...]]) -> ElementMesh:
+def element_mesh(cell: Cell, walls: tuple[Oval, ...], elements: Elements) -> ElementMesh:
     """Return the elements for nested ovals about one centre, from the innermost.
 
     Args:
-        elements: degree, and ends of the thin blocks over the radial line from a wall, descending.
+        elements: see `Elements`.
     """
     blocks = _blocks(cell, walls, elements)
     masses: list[list[Array]] = [[] for _ in range(len(walls) + 1)]
@@ -360,77 +355,100 @@ def _mapped(block: Block, xi: Array, eta: Array) -> tuple[Array, Array, Array]:
 
 
 Numbered = tuple[NDArray[np.intp], Array, Array]
+Place = tuple[int, bool, Array]  # number of a corner or side, whether its direction is opposite, and its offset
+
+
+class _Numbers:
+    """Numbers of the corners and sides of a periodic mesh, and of the functions on them.
+
+    Attributes:
+        starts: first function of each corner, side or block.
+        total: count of functions.
+    """
+
+    def __init__(self, cell: Cell) -> None:
+        self.lattice = np.array(_vectors(cell))
+        self.seen: list[tuple[Array, Array]] = []
+        self.starts: dict[object, int] = {}
+        self.total = 0
+
+    def place(self, middle: Array, direction: Array) -> Place:
+        """Return the place of a side, or of a corner, which has direction 0."""
+        for k, (other, way) in enumerate(self.seen):
+            cells = np.linalg.solve(self.lattice.T, middle - other)
+            if np.abs(cells - np.rint(cells)).max() < 1e-6 and way.any() == direction.any():
+                return k, bool(way @ direction < 0.0), np.rint(cells) @ self.lattice
+        self.seen.append((middle, direction))
+        return len(self.seen) - 1, False, np.zeros(2)
+
+    def first(self, key: object, own: int) -> int:
+        """Return the first function of a corner, side or block that has `own` functions."""
+        if key not in self.starts:
+            self.starts[key] = self.total
+            self.total += own
+        return self.starts[key]
 
 
 def _numbered(cell: Cell, blocks: list[Block]) -> tuple[Numbered, Numbered]:
     """Return the joined numbers, signs and offsets of the local continuous and edge functions."""
-    lattice = np.array(
-        [[cell.period_x, 0.0], [np.cos(cell.angle_rad), np.sin(cell.angle_rad)]]
-    )  # fmt: skip
-    lattice[1] *= cell.period_y or 0.0
-    inverse = np.linalg.inv(lattice)
-    seen: list[tuple[Array, Array]] = []  # middle and direction of each side, or a corner with direction 0
-
-    def found(middle: Array, direction: Array) -> tuple[int, bool, Array]:
-        """Return the number, whether the direction is opposite, and the offset."""
-        for k, (other, way) in enumerate(seen):
-            cells = (middle - other) @ inverse
-            if np.abs(cells - np.rint(cells)).max() < 1e-6 and (way.any() == direction.any()):
-                return k, bool(way @ direction < 0.0), np.rint(cells) @ lattice
-        seen.append((middle, direction))
-        return len(seen) - 1, False, np.zeros(2)
-
-    starts: dict[tuple[str, int], int] = {}
-    totals = [0, 0]
-    parts: tuple[list[Array], list[Array]] = ([], [])
-
-    def place(space: int, key: tuple[str, int], own: int) -> int:
-        name = (f"{space}{key[0]}", key[1])
-        if name not in starts:
-            starts[name] = totals[space]
-            totals[space] += own
-        return starts[name]
-
+    nodes, edges = _Numbers(cell), _Numbers(cell)
+    parts: tuple[list[list[float]], list[list[float]]] = ([], [])
     for number, block in enumerate(blocks):
-        corner = {(i, j): found(block.corners[i, j], np.zeros(2)) for i in (0, 1) for j in (0, 1)}
+        c = block.corners
+        corners = {(i, j): nodes.place(c[i, j], np.zeros(2)) for i in (0, 1) for j in (0, 1)}
         sides = {}
         for k in (0, 1):
-            for name, (a, b) in (("xi", ((0, k), (1, k))), ("eta", ((k, 0), (k, 1)))):
-                start, end = block.corners[a], block.corners[b]
-                sides[name, k] = found(0.5 * (start + end), end - start)
-        p = block.degrees
-        rows = np.zeros(((p[0] + 1) * (p[1] + 1), 4))
-        for i in range(p[0] + 1):
-            for j in range(p[1] + 1):
-                if i < 2 and j < 2:
-                    who, _, offset = corner[i, j]
-                    at, sign = place(0, ("s", who), 1), 1.0
-                elif i < 2 or j < 2:
-                    who, opposite, offset = sides[("xi", j) if j < 2 else ("eta", i)]
-                    order = max(i, j)
-                    at = place(0, ("s", who), p[j >= 2] - 1) + order - 2
-                    sign = (-1.0) ** order if opposite else 1.0
-                else:
-                    at, sign, offset = place(0, ("b", number), (p[0] - 1) * (p[1] - 1)), 1.0, np.zeros(2)
-                    at += (i - 2) * (p[1] - 1) + j - 2
-                rows[i * (p[1] + 1) + j] = at, sign, *offset
-        parts[0].append(rows)
-        rows = np.zeros((p[0] * (p[1] + 1) + (p[0] + 1) * p[1], 4))
-        for axis, name in enumerate(("xi", "eta")):
-            for order in range(p[axis]):
-                for k in range(p[1 - axis] + 1):
-                    local = order * (p[1] + 1) + k if axis == 0 else p[0] * (p[1] + 1) + k * p[1] + order
-                    if k < 2:
-                        who, opposite, offset = sides[name, k]
-                        at = place(1, ("s", who), p[axis]) + order
-                        sign = (-1.0) ** (order + 1) if opposite else 1.0
-                    else:
-                        own = p[1 - axis] - 1
-                        at = place(1, ("b" + name, number), p[axis] * own) + order * own + k - 2
-                        sign, offset = 1.0, np.zeros(2)
-                    rows[local] = at, sign, *offset
-        parts[1].append(rows)
+            for axis, (start, end) in enumerate(((c[0, k], c[1, k]), (c[k, 0], c[k, 1]))):
+                sides[axis, k] = nodes.place(0.5 * (start + end), end - start)
+        parts[0].extend(_node_rows(nodes, number, block.degrees, corners, sides))
+        parts[1].extend(_edge_rows(edges, number, block.degrees, sides))
     node, edge = (
-        (rows[:, 0].astype(np.intp), rows[:, 1], rows[:, 2:]) for rows in map(np.concatenate, parts)
+        (rows[:, 0].astype(np.intp), rows[:, 1], rows[:, 2:]) for rows in map(np.array, parts)
     )  # fmt: skip
     return node, edge
+
+
+def _node_rows(
+    nodes: _Numbers, number: int, degrees: tuple[int, int], corners: dict[tuple[int, int], Place],
+    sides: dict[tuple[int, int], Place],
+) -> list[list[float]]:  # fmt: skip
+    """Return number, sign and offset of each continuous function of a block."""
+    rows = []
+    for i, j in np.ndindex(degrees[0] + 1, degrees[1] + 1):
+        sign = 1.0
+        if i < 2 and j < 2:
+            who, _, offset = corners[i, j]
+            at = nodes.first(who, 1)
+        elif i < 2 or j < 2:
+            axis, k, order = (0, j, i) if j < 2 else (1, i, j)
+            who, is_opposite, offset = sides[axis, k]
+            at = nodes.first(who, degrees[axis] - 1) + order - 2
+            sign = (-1.0) ** order if is_opposite else 1.0
+        else:
+            offset = np.zeros(2)
+            at = (
+                nodes.first(("block", number), (degrees[0] - 1) * (degrees[1] - 1)) + (i - 2) * (degrees[1] - 1) + j - 2
+            )
+        rows.append([at, sign, *offset])
+    return rows
+
+
+def _edge_rows(
+    edges: _Numbers, number: int, degrees: tuple[int, int], sides: dict[tuple[int, int], Place]
+) -> list[list[float]]:  # fmt: skip
+    """Return number, sign and offset of each edge function of a block: those along xi, then those along eta."""
+    rows = []
+    for axis in (0, 1):
+        shape = [degrees[0] + 1, degrees[1] + 1]
+        shape[axis] -= 1
+        for index in np.ndindex(*shape):
+            order, k, across = index[axis], index[1 - axis], degrees[1 - axis] - 1
+            if k < 2:
+                who, is_opposite, offset = sides[axis, k]
+                rows.append(
+                    [edges.first(who, degrees[axis]) + order, (-1.0) ** (order + 1) if is_opposite else 1.0, *offset]
+                )
+            else:
+                start = edges.first(("block", axis, number), degrees[axis] * across)
+                rows.append([start + order * across + k - 2, 1.0, 0.0, 0.0])
+    return rows

@@ -22,7 +22,7 @@ import scipy.linalg
 import scipy.sparse
 
 from nacre.matter.periodic.crossed_solver import Answer, joined_answers
-from nacre.matter.periodic.element_mesh import ElementMesh, Oval, edge_count, element_mesh, side_distance
+from nacre.matter.periodic.element_mesh import ElementMesh, Elements, Oval, edge_count, element_mesh, side_distance
 from nacre.matter.periodic.lamellar_solver import GRAZING, is_patterned
 from nacre.matter.periodic.scattering_matrix import Modes, Slab, outgoing_root, respond, scatter, slab
 from nacre.matter.periodic.structure import (
@@ -38,16 +38,13 @@ from nacre.matter.periodic.structure import (
 )
 from nacre.matter.periodic.types import Array
 
-# degrees, and ends of the thin blocks over the radial line from a wall: errors at a rim fall by 4 with each
-ELEMENT_STEPS: tuple[tuple[int, tuple[float, ...]], ...] = (
-    (3, (0.15, 0.015, 0.0015)), (4, (0.15, 0.0225, 0.0034, 0.0005)), (5, (0.15, 0.0225, 0.0034, 0.0005)),
-    (6, (0.15, 0.0225, 0.0034, 0.0005)),
+# errors at a rim fall by 4 with each end of thin blocks
+ELEMENT_STEPS: tuple[Elements, ...] = (
+    (3, 3, (0.15, 0.015, 0.0015)), (5, 3, (0.15, 0.0225, 0.0034, 0.0005)), (6, 4, (0.15, 0.0225, 0.0034, 0.0005)),
 )  # fmt: skip
 BEYOND = 1.3  # orders with a wave number up to this times the largest that propagates are exact
 MOST_WALLS = 3
 GAP = 1e-2  # least distance of walls from each other and from the cell's sides, over the radius
-
-Elements = tuple[int, tuple[float, ...]]
 
 
 def has_curved_metal(stack: PeriodicStack) -> bool:
@@ -149,7 +146,8 @@ class _Basis:
 
 @lru_cache(maxsize=2)
 def _basis(
-    cell: Cell, walls: tuple[Oval, ...], elements: Elements, wave: tuple[float, float], numbers: tuple[tuple[int, int], ...]
+    cell: Cell, walls: tuple[Oval, ...], elements: Elements, wave: tuple[float, float],
+    numbers: tuple[tuple[int, int], ...],
 ) -> _Basis:  # fmt: skip
     mesh = element_mesh(cell, walls, elements)
     first, orders = np.array(wave), np.array(numbers)
@@ -219,7 +217,8 @@ def _made(
     cell, walls = stack.cell, ovals(stack)
     assert cell.period_y is not None
     turns = 0.5 * max(cell.period_x, cell.period_y) * stack.reach * k0
-    elements = max(step[0], int(np.ceil(0.5 * turns + step[0] - 2))), step[1]
+    more = max(int(np.ceil(0.5 * turns)) - 2, 0)
+    elements = step[0] + more, step[1] + more, step[2]
     check_unknowns(edge_count(cell, walls, elements), k0)
     numbers, _ = propagating(stack, k0, transverse, BEYOND * stack.reach)
     if least is not None:
