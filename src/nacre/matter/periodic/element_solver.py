@@ -40,7 +40,7 @@ from nacre.matter.periodic.types import Array
 
 # errors at a rim fall by 4 with each end of thin blocks
 ELEMENT_STEPS: tuple[Elements, ...] = (
-    (3, 3, (0.15, 0.015, 0.0015)), (5, 3, (0.15, 0.0225, 0.0034, 0.0005)), (6, 4, (0.15, 0.0225, 0.0034, 0.0005)),
+    (4, 3, (0.15, 0.015, 0.0015)), (5, 3, (0.15, 0.0225, 0.0034, 0.0005)), (6, 4, (0.15, 0.0225, 0.0034, 0.0005)),
 )  # fmt: skip
 BEYOND = 1.3  # orders with a wave number up to this times the largest that propagates are exact
 MOST_WALLS = 3
@@ -65,14 +65,14 @@ def ovals(stack: PeriodicStack) -> tuple[Oval, ...]:
             if not walls:
                 return ()
             found |= set(walls)
-    walls = sorted(found, key=lambda wall: wall.a * wall.b)
+    nested = sorted(found, key=lambda wall: wall.a * wall.b)
     angles = np.linspace(-np.pi, np.pi, 181)
-    if not walls or len(walls) > MOST_WALLS or len({(wall.x, wall.y) for wall in walls}) > 1:
+    if not nested or len(nested) > MOST_WALLS or len({(wall.x, wall.y) for wall in nested}) > 1:
         return ()
-    radii = [wall.radius(angles) for wall in walls]
+    radii = [wall.radius(angles) for wall in nested]
     radii.append(side_distance(stack.cell, angles))
     is_nested = all(np.all(b - a > GAP * b.min()) for a, b in zip(radii, radii[1:], strict=False))
-    return tuple(walls) if is_nested else ()
+    return tuple(nested) if is_nested else ()
 
 
 def _ovals_of(shape: Shape) -> tuple[Oval, ...]:

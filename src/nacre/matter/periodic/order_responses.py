@@ -121,10 +121,11 @@ def responses(channels: Channels, transverse: Array, step: int = 0) -> Array:
         step = line_step(stack, step)
     if method == "lines" and step == 0:
         return lamellar_responses(stack, k0, transverse, upper[:, 0], lower[:, 0])
-    run: Callable[..., Array] = {
+    runs: dict[str, Callable[..., Array]] = {
         "lines": line_response, "rectangles": rectangle_response, "fourier": fourier_response,
         "elements": element_response,
-    }[method]  # fmt: skip
+    }  # fmt: skip
+    run = runs[method]
     size = RUNS[method][1][step - (method == "lines")]
     return np.array([run(stack, k0, each, size, upper, lower) for each in transverse])
 

@@ -19,7 +19,7 @@ from nacre.matter.periodic.structure import NotConvergedError, OrderSolution, Pe
 from nacre.matter.periodic.types import Array
 
 # error of the finer of two sizes over their difference, from the observed rates of convergence
-SAFETY = {"lines": 0.5, "profile": 0.5, "rectangles": 1.5, "fourier": 2.75, "elements": 0.75}
+SAFETY = {"lines": 0.5, "profile": 0.5, "rectangles": 1.5, "fourier": 2.75, "elements": 0.5}
 TOLERANCE = {"lines": 2e-4, "profile": 5e-5, "rectangles": 3e-3, "fourier": 4e-3, "elements": 4e-3}
 LEAST_ERROR = {"lines": 1e-5, "profile": 2e-6, "rectangles": 2e-4, "fourier": 2e-4, "elements": 1e-3}
 LARGEST_ERROR = 2e-2  # where no tolerance is asked for, a larger error is refused; a smaller one is stated
