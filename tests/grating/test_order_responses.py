@@ -45,7 +45,7 @@ def stack_of(shape: dict[str, Any], wavelength_nm: float, substrate: Any, lattic
     return model.stacks(np.array([wavelength_nm]))[0]  # type: ignore[no-any-return]
 
 
-STRUCTURES = {
+STRUCTURES: dict[str, tuple[dict[str, Any], float, Any, dict[str, Any], int]] = {
     # shape, wavelength in nm, substrate, lattice, size; tensor products take more plane waves, which moves their error
     "lines": ({"shape": "line", "width_nm": 230, "center_nm": [20, 0]}, 520.0, {"n": 1.5}, {"period_nm": 600}, 0),
     "finer lines": ({"shape": "line", "width_nm": 230}, 520.0, "Al", {"period_nm": 600}, 1),
