@@ -18,7 +18,7 @@ from reference_films import weights
 import nacre
 from nacre.core.errors import NacreError
 from nacre.material.material import Material
-from nacre.measure.spectrum import bsdf_spectrum
+from nacre.measure.evaluate import bsdf_spectrum
 
 FINE_NM = np.arange(380.0, 781.0, 1.0)
 

@@ -11,8 +11,7 @@ from random_recipes import random_film, random_metasurface, random_pearl, random
 import nacre
 from nacre.bsdf import Bsdf
 from nacre.families.registry import FAMILIES, family_names, family_spec
-from nacre.measure.evaluate import evaluate_with_error
-from nacre.measure.spectrum import directional_hemispherical
+from nacre.measure.evaluate import directional_hemispherical, evaluate_with_error
 
 QUICK, FULL = 10, 200
 QUICK_RELIEFS = 4  # each takes a second

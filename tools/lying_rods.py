@@ -11,8 +11,13 @@ import sys
 
 import numpy as np
 
-from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, truncated
-from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, spread_blocks, tilted_full
+from nacre.families.metasurface.tmatrix.axisymmetric import (
+    AxialTMatrices,
+    multipole_index,
+    spread_blocks,
+    tilted_full,
+    truncated,
+)
 from nacre.families.metasurface.tmatrix.particle_shapes import SolvedBody
 from nacre.families.metasurface.tmatrix.tmatrix_file import write_tmatrices
 from nacre.matter.indices.spec import IndexSpec

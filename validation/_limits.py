@@ -39,6 +39,7 @@ LIMITS: dict[str, tuple[tuple[str, str], ...]] = {
         ("", "Kinoshita et al. 2002: a fan across, a line along; *word*: by a factor"),
     ),
     "film_morpho_rcwa": (
+        ("vector optics", "*bar*: dE00 3 and 1.5 degrees"),
         ("one cell|fmmax", "issue: two answers agree to 1 % in strong orders"),
         ("solved again", "rounding of the kept digits"),
         ("peak of the light|its height", "Vukusic et al. 1999, with their spread"),

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import direction
-from nacre.measure.spectrum import directional_hemispherical
+from nacre.measure.evaluate import directional_hemispherical
 from validation._film import canvas, film, picture, show
 from validation._rows import finish, row
 

@@ -23,14 +23,20 @@ from scipy.stats import norm
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.parallel import in_threads
 from nacre.families.metasurface.ensemble.ensemble import ANGLES, WIDEST, Ensemble, Side, middle_sizes, same_order
-from nacre.families.metasurface.ensemble.multisphere import Coupling, Period, PlaneWaves
-from nacre.families.metasurface.ensemble.supercells import Supercell, draw_species, supercells, with_species
+from nacre.families.metasurface.ensemble.supercells import (
+    Coupling,
+    Period,
+    PlaneWaves,
+    Supercell,
+    draw_species,
+    supercells,
+    with_species,
+)
 from nacre.families.metasurface.monolayer.arrangement import Arrangement, Pattern
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
-from nacre.families.metasurface.monolayer.ensemble_ratio import Block, Pairs, Ratio, Sums, block_sums
-from nacre.families.metasurface.monolayer.ladder import NAME as LADDER
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
-from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.monolayer.qca import NAME as LADDER
+from nacre.families.metasurface.monolayer.structure import Block, Pairs, Ratio, Sums, block_sums, hard_disk_structure
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.mie import mie_coefficients

@@ -14,7 +14,7 @@ import numpy as np
 import nacre
 from nacre.bsdf import Bsdf
 from nacre.light import spectrum_to_xyz
-from nacre.measure.spectrum import bsdf_spectrum
+from nacre.measure.evaluate import bsdf_spectrum
 from validation._pearl import EXAMPLES, GRID_NM, hue_distance
 from validation._pearl_pictures import BOTTLE, SUBSTRATES, WALK_SPP, c1, difference, picture, sheet, traced, where
 from validation._rows import finish, row

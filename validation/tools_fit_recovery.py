@@ -17,7 +17,7 @@ from matplotlib import pyplot
 import nacre
 from nacre.analysis.fit import Fit, Measured, fit_parameters, run_fit
 from nacre.core.arrays import Array, direction
-from nacre.formats.gonio_csv import GonioData
+from nacre.formats.measured_lobes import GonioData
 from nacre.measure import geometry
 from nacre.measure.evaluate import evaluate_with_error
 

@@ -19,7 +19,7 @@ from nacre.bsdf.tabulate import StackTables
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.core.arrays import direction
 from nacre.core.errors import UnsupportedError
-from nacre.measure.spectrum import directional_hemispherical
+from nacre.measure.evaluate import directional_hemispherical
 
 RECIPROCITY = 1e-10
 FURNACE_LIMIT = 1.002

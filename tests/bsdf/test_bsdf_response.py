@@ -10,7 +10,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.tabulate import StackTables, is_transparent
 from nacre.core.arrays import interpolate, take_uniform
-from nacre.measure.spectrum import bsdf_spectrum
+from nacre.measure.evaluate import bsdf_spectrum
 
 TABLE_ERROR = 2e-4  # of R and T between nodes; `TABLE_ERROR` of tabulate, with room for the last refinement
 

@@ -19,7 +19,7 @@ import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.core.files import check_writable, read_text
-from nacre.formats.rgl import MAGIC, read_tensor
+from nacre.readers.bsdf.databases import MAGIC, read_tensor
 
 RECIPE = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'
 ROUGH = RECIPE + "[surface]\nroughness = 0.1\n"
@@ -280,7 +280,7 @@ def test_a_closed_or_full_stdout_is_reported_and_files_are_written_all_the_same(
 
 
 def test_a_full_disk_is_reported_of_an_exr(film: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from nacre.formats.half_angle_tables import write_slice
+    from nacre.formats.bsdf_tables import write_slice
 
     class Full:
         def __init__(self, *_: object) -> None: ...
@@ -446,7 +446,7 @@ def test_an_obj_with_tabs_is_read(tmp_path: Path) -> None:
 
 
 def test_a_refused_file_is_shown_as_in_a_recipe() -> None:
-    from nacre.readers.file_spec import FileSpec
+    from nacre.readers.curves import FileSpec
     from nacre.recipe.model import show_value
 
     assert show_value(FileSpec(file="h.csv")) == '{file = "h.csv"}'

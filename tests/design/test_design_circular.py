@@ -10,8 +10,8 @@ import pytest
 import nacre
 from nacre.core.errors import RecipeError
 from nacre.measure.colours import geometry_colours
+from nacre.measure.evaluate import circular_reflection, ellipsometric_angles, selective_band
 from nacre.measure.geometry import Geometry
-from nacre.measure.polarisation import circular_reflection, ellipsometric_angles, selective_band
 from nacre.optimise.measurement import simulate_measurement
 from nacre.optimise.parameters import read_parameters
 

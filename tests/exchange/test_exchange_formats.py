@@ -13,13 +13,23 @@ import nacre
 from nacre.bsdf.lobes.table import from_half_difference, half_difference
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.formats.gonio_csv import read_gonio_csv, write_gonio_csv
-from nacre.formats.half_angle_tables import SHAPE, read_merl, slice_values, write_merl, write_slice
-from nacre.formats.lobes import gonio_grid, merl_lobe
-from nacre.formats.measured_lobes import measured_table, rgb_basis
-from nacre.formats.rgl import RglBsdf, Warp, read_tensor, rgl_fields, write_tensor
-from nacre.formats.thin_film import ThinFilm, read_gltf, read_materialx, write_gltf, write_materialx
-from nacre.formats.zemax import write_zemax, zemax_table
+from nacre.formats.bsdf_tables import (
+    SHAPE,
+    Warp,
+    gonio_grid,
+    merl_lobe,
+    read_merl,
+    rgl_fields,
+    slice_values,
+    write_merl,
+    write_slice,
+    write_tensor,
+    write_zemax,
+    zemax_table,
+)
+from nacre.formats.gltf import ThinFilm, read_gltf, read_materialx, write_gltf, write_materialx
+from nacre.formats.measured_lobes import measured_table, read_gonio_csv, rgb_basis, write_gonio_csv
+from nacre.readers.bsdf.databases import RglBsdf, read_tensor
 from nacre.readers.bsdf.ray_tracers import read_zemax_table, scatter_direction
 from nacre.recipe.toml import dump_toml
 
@@ -188,7 +198,7 @@ def test_a_zemax_table_round_trips_and_looks_where_its_format_says(tmp_path: Pat
 
 
 def test_a_zemax_table_integrates_to_the_albedo(film: nacre.Bsdf) -> None:
-    from nacre.measure.spectrum import directional_hemispherical
+    from nacre.measure.evaluate import directional_hemispherical
 
     table = zemax_table(film, 550.0, step_deg=5.0)
     at = int(np.argmin(abs(film.wavelengths_nm - 550.0)))
@@ -280,7 +290,7 @@ def test_a_stored_material_is_taken_as_measured_and_scaled_only_where_it_is_a_ta
 
 
 def test_scattered_directions_become_a_table_too(film: nacre.Bsdf) -> None:
-    from nacre.formats.gonio_csv import GonioData
+    from nacre.formats.measured_lobes import GonioData
 
     generator = np.random.default_rng(3)
     angles = np.stack([generator.uniform(0, 80, 400), np.zeros(400), generator.uniform(0, 80, 400),

@@ -31,7 +31,7 @@ def brought(tmp_path: Path):
 
 
 def test_a_measured_table_holds_the_totals_that_its_own_program_stated() -> None:
-    from nacre.formats.zemax import _total
+    from nacre.formats.bsdf_tables import _total
 
     table = read_zemax_table(BLACK)
     assert (table.spectral_content, table.scatter_type, table.values.shape) == ("Monochrome", "BRDF", (1, 4, 19, 21))

@@ -12,8 +12,9 @@ from nacre.analysis.fit import read_measurement
 from nacre.analysis.import_export import import_material
 from nacre.cli import run
 from nacre.core.errors import NacreError
-from nacre.formats.rgl import read_tensor, rgl_fields
-from nacre.formats.thin_film import read_gltf, read_materialx
+from nacre.formats.bsdf_tables import rgl_fields
+from nacre.formats.gltf import read_gltf, read_materialx
+from nacre.readers.bsdf.databases import read_tensor
 
 ROUGH = {"family": "film", "substrate": "Ti", "surface": {"roughness": 0.3}}
 

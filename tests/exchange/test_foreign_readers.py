@@ -11,8 +11,8 @@ import pytest
 import nacre
 from nacre.analysis.thin_film import fit_thin_film
 from nacre.cli import run
-from nacre.formats.half_angle_tables import slice_values, write_slice
-from nacre.formats.thin_film import read_gltf, read_materialx
+from nacre.formats.bsdf_tables import slice_values, write_slice
+from nacre.formats.gltf import read_gltf, read_materialx
 from nacre.recipe.toml import dump_toml
 
 FILM = {

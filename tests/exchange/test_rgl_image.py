@@ -10,7 +10,7 @@ import pytest
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.formats.rgl import write_rgl
+from nacre.formats.bsdf_tables import write_rgl
 
 SIZE, BLOCK = 128, 8
 SPP = 128

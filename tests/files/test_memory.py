@@ -19,8 +19,8 @@ from nacre.cli import run
 from nacre.core import memory
 from nacre.core.errors import MachineError, UnsupportedError
 from nacre.families.metasurface.monolayer.arrangement import random_sequential
-from nacre.formats.rgl import read_tensor
 from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab
+from nacre.readers.bsdf.databases import read_tensor
 
 RELIEF = """family = "relief"
 heights = "heights.npy"

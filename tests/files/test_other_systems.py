@@ -16,7 +16,7 @@ from nacre import __version__
 from nacre.core import files, memory, parallel
 from nacre.core.errors import NacreError
 from nacre.device import doctor
-from nacre.formats.lut.write import new_folder
+from nacre.formats.lut import new_folder
 from nacre.picture import interrupt
 from nacre.studio.subprocess_jobs import SubprocessJob
 
@@ -73,7 +73,7 @@ def test_a_folder_that_another_program_holds_open_stays_as_it_was(
         return rename(self, target)
 
     monkeypatch.setattr(Path, "rename", held)
-    monkeypatch.setattr("nacre.formats.lut.write._exchanged", lambda one, other: False)  # not on that system
+    monkeypatch.setattr("nacre.formats.lut._exchanged", lambda one, other: False)  # not on that system
     with pytest.raises(NacreError), new_folder(folder) as made:
         (made / "a.txt").write_text("new")
     assert (folder / "a.txt").read_text() == "old" and list(tmp_path.iterdir()) == [folder]

@@ -10,7 +10,7 @@ import pytest
 from nacre.bsdf.bsdf import Bsdf
 from nacre.core.errors import NacreError
 from nacre.material.material import material
-from nacre.measure.spectrum import bsdf_spectrum
+from nacre.measure.evaluate import bsdf_spectrum
 
 ALLOWED = 0.005  # of R and T, the bar, unless the file states more
 ANGLES = 2000  # the issue's

@@ -12,7 +12,7 @@ from numpy import nan
 import nacre
 from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.measure.spectrum import directional_hemispherical
+from nacre.measure.evaluate import directional_hemispherical
 
 REFERENCE = Path(__file__).resolve().parents[3] / "shared" / "reference" / "anisotropic" / "anisotropic_open.npz"
 REFERENCE_BAR = 1e-9  # the reference agrees with pyElli to 2e-15

@@ -15,7 +15,7 @@ from nacre.core.errors import UnsupportedError
 from nacre.families.contract import figure_data
 from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab
 from nacre.material.material import material
-from nacre.measure.spectrum import directional_hemispherical
+from nacre.measure.evaluate import directional_hemispherical
 
 LAM = np.array([450.0, 550.0, 650.0])
 FURNACE_LIMIT = 1.002
@@ -153,7 +153,7 @@ def test_spectrum_and_bsdf_agree() -> None:
 
 
 def test_a_stored_film_reports_the_same_spectrum() -> None:
-    from nacre.measure.spectrum import bsdf_spectrum
+    from nacre.measure.evaluate import bsdf_spectrum
 
     one, theta = film(**GLASS, base={"albedo": 0.6}), np.radians([0.0, 60.0])
     direct, stored = one.spectrum(theta, LAM), bsdf_spectrum(one.bsdf(LAM), theta)

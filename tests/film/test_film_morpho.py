@@ -11,7 +11,7 @@ from helpers_bsdf import reciprocity_error
 from nacre.bsdf import Bsdf
 from nacre.core.arrays import direction
 from nacre.material.material import material
-from nacre.measure.spectrum import directional_hemispherical
+from nacre.measure.evaluate import directional_hemispherical
 
 LAM = np.array([400.0, 460.0, 550.0, 700.0])
 ORDER_ERROR_DEG = 0.1

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from validation.film_morpho_rcwa import BLUE, WAVELENGTHS_NM, Fan, colours, read_cells, rigorous_fan
+from validation.film_morpho_rcwa import BLUE, colours, read_cells, rigorous_fan, steady, vector_fan
 
 import nacre
 from nacre.bsdf.lobes.ridge import RidgeTable
@@ -15,10 +15,17 @@ from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.film.supercells import SupercellFilm
 from nacre.light import delta_e_2000
-from nacre.matter.periodic.ridge_tables import ALONG, ridge_table, solved_case, solved_wavelengths
+from nacre.matter.periodic.ridge_tables import ALONG, LEAST_DRAWS, controlled, ridge_table, solved_wavelengths
 from nacre.matter.periodic.solve import solve
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Rectangle
-from nacre.matter.periodic.supercell import RidgeStatistics, drawn_ridges, levels, reflected_fan
+from nacre.matter.periodic.supercell import (
+    RidgeStatistics,
+    array_factor,
+    drawn_ridges,
+    levels,
+    mean_array_factor,
+    reflected_fan,
+)
 
 CUTICLE = 1.56 + 0.06j
 WING = RidgeStatistics(700.0, 300.0, 2, 120.0, 40.0, 60.0)
@@ -158,20 +165,42 @@ def test_the_command_reports_the_fan(tmp_path: Any, capsys: pytest.CaptureFixtur
 
 @pytest.mark.full
 def test_the_wing_is_that_of_its_supercells() -> None:
-    """Light along the normal: each colour and the half width, on the draws of the independent supercells."""
-    ridges = {"optics": "vector", "count": 8, "draws": 20}
-    model = nacre.material({"family": "film", "preset": "morpho", "ridges": ridges}).model
-    assert isinstance(model, SupercellFilm)
-    fan = rigorous_fan("meant", read_cells())
-    values = []
-    for case, sines in zip(model.cases(WAVELENGTHS_NM), fan.sines, strict=True):
-        mean, _ = solved_case(case, 0.0)
-        values.append(np.interp(sines, np.linspace(-1.0, 1.0, len(mean)), mean[len(mean) // 2])[None])
-    ours = Fan(fan.sines, values)
+    """Light along the normal: each colour and the half width, against independent supercells of other draws."""
+    fan = steady(rigorous_fan("meant", read_cells()), "meant")
+    ours = vector_fan(fan.sines)
     views, found = fan.views(), ours.views()
     away = delta_e_2000(colours(views, views[0]), colours(found, views[0]))
     assert np.all(away <= LIMIT_DE00), away
     assert ours.half_deg(BLUE) == pytest.approx(fan.half_deg(BLUE), abs=LIMIT_DEG)
+
+
+@pytest.mark.parametrize("shift", [0.0, 50.0])
+def test_the_mean_interference_is_that_of_many_supercells(shift: float) -> None:
+    wing, count = RidgeStatistics(700.0, 300.0, 3, 60.0, 0.0, shift), 2000
+    sines, wave = np.arange(-3, 4) * 600.0 / wing.period_nm, 2.0 * np.pi / 600.0
+    found = np.array([array_factor(drawn_ridges(wing, draw), sines, 0.3, wave) for draw in range(count)])
+    error = found.std(axis=0) / np.sqrt(count)
+    wanted = mean_array_factor(wing, sines, 0.3, wave)
+    assert np.all(np.abs(found.mean(axis=0) - wanted) < 5.0 * error + 0.005)  # the latter of 4000 sampled ridges
+    assert wanted == pytest.approx(wanted.T)
+
+
+def test_known_interference_steadies_the_mean_of_few_supercells() -> None:
+    """Light along the normal of two sets of supercells differs less than without the control variate."""
+    wing = RidgeStatistics(700.0, 300.0, 2, 120.0)
+    wave, draws = 2.0 * np.pi / 600.0, 24
+    powers, factors = [], []
+    for draw in range(draws):
+        cell = drawn_ridges(wing, draw)
+        fan = reflected_fan(cell, LAYERS, INDICES, 1.0, CUTICLE, 600.0, 0.0)
+        powers.append(fan.power)
+        factors.append(array_factor(cell, fan.sines, 0.0, wave))
+    expected = mean_array_factor(wing, fan.sines, 0.0, wave)
+    plain, steadied = np.array(powers), controlled(np.array(powers), np.array(factors), expected)
+    weak = plain.var(axis=0).sum()
+    assert steadied.var(axis=0).sum() < 0.5 * weak
+    few = plain[: LEAST_DRAWS - 1]
+    assert controlled(few, np.array(factors)[: LEAST_DRAWS - 1], expected) is few
 
 
 def test_a_base_below_an_opaque_substrate_is_refused() -> None:

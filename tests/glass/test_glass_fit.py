@@ -10,7 +10,7 @@ import pytest
 import nacre
 from nacre.analysis.fit import CORRECTION_SEEDS, CORRECTIONS, Measured, fit_parameters, run_fit
 from nacre.families.glass import material as glass_material
-from nacre.formats.gonio_csv import GonioData
+from nacre.formats.measured_lobes import GonioData
 from nacre.studio.appearance import appearances
 
 WAVES = np.arange(400.0, 701.0, 40.0)
@@ -100,5 +100,5 @@ def test_the_fast_spectrum_behind_a_rough_face_is_what_its_tables_hold() -> None
     assert direct is not None
     bsdf = model.bsdf(WAVES)
     # what the form states as its error, of the largest value
-    sums = nacre.measure.spectrum.directional_hemispherical(bsdf, nacre.core.arrays.direction(theta))[0]
+    sums = nacre.measure.evaluate.directional_hemispherical(bsdf, nacre.core.arrays.direction(theta))[0]
     np.testing.assert_allclose(direct.diffuse_reflectance, sums, atol=0.02 * float(sums.max()))

@@ -15,8 +15,7 @@ from nacre.families.contract import is_direct
 from nacre.families.glass.medium import solve_medium
 from nacre.families.glass.radiative_transfer import AZIMUTHS, Slab, brdf_table
 from nacre.families.glass.tables import balanced, table_weights
-from nacre.measure.evaluate import evaluate_with_error
-from nacre.measure.spectrum import bsdf_spectrum, directional_hemispherical
+from nacre.measure.evaluate import bsdf_spectrum, directional_hemispherical, evaluate_with_error
 
 # no dispersion: the walk refracts all colours with one index
 GLASS: dict[str, Any] = {

@@ -13,7 +13,7 @@ from nacre.bsdf.lobes.layered import Layered
 from nacre.families.glass.medium import solve_medium
 from nacre.families.glass.radiative_transfer import Slab
 from nacre.families.glass.random_walk import walk
-from nacre.measure.spectrum import bsdf_spectrum
+from nacre.measure.evaluate import bsdf_spectrum
 
 WALKED = [case for case in CASES if case not in (12, 14)]
 WALKERS = 30_000

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers_grating import check_resumed_table
 
 import nacre
 from nacre.core.parallel import single_threaded_blas
@@ -131,36 +133,14 @@ def test_plasmons_and_anomalies_lie_between_few_solutions() -> None:
             assert abs(found.get(number, 0.0) - value) < 2e-3
 
 
-def test_a_table_of_lines_resumes(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NACRE_CACHE", str(tmp_path))
-    for name in ("MIN_STORED_S", "MIN_PART_S"):
-        monkeypatch.setattr(order_tables, name, 0.0)
+def test_a_table_of_lines_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(order_tables, "FITTED", (12, (24,)))
     lam = np.array([500.0, 600.0])
     stacks = [
         stack_of({"shape": "line", "width_nm": 230, "material": "Al"}, float(w), {"n": 1.5}, {"period_nm": 600})
         for w in lam
     ]  # fmt: skip
-    solved: list[int] = []
-    limit = 4.0
-
-    def counted(channels: Channels, waves: np.ndarray, step: int = 0) -> np.ndarray:
-        if len(solved) >= limit:
-            raise KeyboardInterrupt
-        solved.append(len(waves))
-        return responses(channels, waves, step)
-
-    monkeypatch.setattr(order_tables, "responses", counted)
-    with pytest.raises(KeyboardInterrupt):
-        order_tables.order_tables(stacks, lam, None)
-    limit, before = np.inf, len(solved)
-    resumed = order_tables.order_tables(stacks, lam, None)
-    again = len(solved) - before
-    monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "other"))
-    solved.clear()
-    whole = order_tables.order_tables(stacks, lam, None)
-    assert again < len(solved)
-    assert np.array_equal(resumed.reflected, whole.reflected) and np.array_equal(resumed.mirror, whole.mirror)
+    check_resumed_table(monkeypatch, tmp_path, "responses", stacks, lam, 4)
 
 
 @pytest.mark.parametrize("shape", ["cross", "rectangle"])
@@ -184,6 +164,8 @@ def test_the_exchange_of_x_and_y_takes_one_class(shape: str, monkeypatch: pytest
     whole = solve_coarse(stack, 650.0, 0.0, 0.7)
     assert difference(found, both) < 1e-10 and difference(found, whole) < 1e-6  # parities take another basis
     assert np.abs(found.reflected.jones - both.reflected.jones).max() < 1e-10
+    # light goes up from the surface, and down behind it
+    assert np.all(both.reflected.direction[:, 2] > 0.0) and np.all(both.transmitted.direction[:, 2] < 0.0)
 
 
 def test_a_rectangle_that_differs_along_x_and_y_takes_two_classes() -> None:
@@ -229,3 +211,12 @@ def test_orders_leave_into_a_dense_ambient_where_they_propagate() -> None:
                 assert value == pytest.approx(power, abs=4e-3)
                 checked += power > 0.01
     assert checked > 1
+
+
+def test_an_error_never_falls_below_what_the_series_of_discs_reaches() -> None:
+    """A disc of nearly no contrast: two sizes agree to rounding, which proves nothing about the next."""
+    from nacre.matter.periodic.solve import LEAST_ERROR, solve
+
+    stack = stack_of({"shape": "disc", "diameter_nm": 150, "material": {"n": 1.0 + 1e-9}}, 650.0, {"n": 1.5},
+                     {"period_nm": 300})  # fmt: skip
+    assert solve(stack, 650.0, 0.0, 0.0).error == LEAST_ERROR["fourier"] > 0.0

@@ -57,3 +57,11 @@ def test_sloping_pillars_keep_energy(changes: dict[str, float]) -> None:
     found = nacre.orders(made, 0.0, 0.0, [550.0])
     total = np.nansum(found.reflected, axis=2) + np.nansum(found.transmitted, axis=2)
     assert total == pytest.approx(np.ones((1, 1, 2)), abs=1e-8)
+
+
+def test_slices_of_a_wall_round_all_over_fill_its_height_closest_at_the_top() -> None:
+    from nacre.matter.periodic.slices import _edges
+
+    depths = _edges(100.0, 100.0, 4)
+    np.testing.assert_allclose(depths, 100.0 * (1.0 - np.cos(np.linspace(0.0, 0.5 * np.pi, 5))), atol=1e-12)
+    assert depths[-1] == pytest.approx(100.0) and np.all(np.diff(depths, 2) > 0.0)

@@ -17,7 +17,7 @@ from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.monolayer import PolarGrid
 from nacre.bsdf.texture import Texture
 from nacre.core.arrays import direction
-from nacre.families.metasurface.ensemble.multisphere import Coupling
+from nacre.families.metasurface.ensemble.supercells import Coupling
 from nacre.families.metasurface.monolayer import aligned as aligned_compile
 from nacre.families.metasurface.monolayer.aligned import (
     AlignedLayer,
@@ -33,8 +33,8 @@ from nacre.families.metasurface.monolayer.evaluation import Grids, direct_powers
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
 from nacre.families.metasurface.tmatrix import tmatrix_file
-from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks
-from nacre.families.metasurface.tmatrix.full_tmatrix import (
+from nacre.families.metasurface.tmatrix.axisymmetric import (
+    as_blocks,
     multipole_index,
     reversed_full,
     rotated_full,
@@ -45,7 +45,7 @@ from nacre.families.metasurface.tmatrix.full_tmatrix import (
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 from nacre.families.metasurface.tmatrix.substrate import Embedded
 from nacre.families.metasurface.tmatrix.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
-from nacre.measure.spectrum import directional_hemispherical
+from nacre.measure.evaluate import directional_hemispherical
 
 TABLES = 0.01  # each table is within 0.005 of the solution
 SAME = 1e-10  # of what is computed another way from the same numbers

@@ -14,7 +14,7 @@ from nacre.bsdf.packed_series import ROUNDING, encode
 from nacre.cli import run
 from nacre.core.arrays import direction
 from nacre.material.material import material
-from nacre.measure.spectrum import bsdf_spectrum
+from nacre.measure.evaluate import bsdf_spectrum
 
 ARRAY_BAR = 1e-4
 CHI_SQUARE_LEVEL = 0.01
@@ -63,9 +63,9 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def trials():
-    from nacre.render import use_variant
+    from tested_variant import use_tested_variant
 
-    use_variant("llvm_ad_spectral")
+    use_tested_variant()
     import lobe_trials as testing
 
     return testing

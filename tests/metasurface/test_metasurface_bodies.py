@@ -9,7 +9,7 @@ from validation._metasurface_helpers import cross_sections, plane_waves
 
 import nacre
 from nacre.families.metasurface.ensemble.ensemble import same_order
-from nacre.families.metasurface.ensemble.multisphere import Coupling
+from nacre.families.metasurface.ensemble.supercells import Coupling
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure

@@ -5,11 +5,9 @@ import pytest
 from helpers_metasurface import surface, t_matrix
 from validation._metasurface_helpers import plane_waves
 
-from nacre.families.metasurface.ensemble.multisphere import Coupling, direct_coupling, reflected_coupling
+from nacre.families.metasurface.ensemble.supercells import Coupling, direct_coupling, reflected_coupling
 from nacre.families.metasurface.monolayer.monolayer import Particle
-from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, reciprocal
-from nacre.families.metasurface.tmatrix.bem import Mesh, block_t_matrix
-from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
+from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, multipole_index, reciprocal
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     Directions,
     ParticleOnStack,
@@ -17,7 +15,7 @@ from nacre.families.metasurface.tmatrix.particle_on_stack import (
     hemisphere_rule,
     reflection_operator,
 )
-from nacre.families.metasurface.tmatrix.particle_shapes import cylinder_panels
+from nacre.families.metasurface.tmatrix.particle_shapes import Mesh, block_t_matrix, cylinder_panels
 from nacre.families.metasurface.tmatrix.tmatrix_file import write_tmatrices
 
 SINGLE = 2e-5  # of the largest amplitude: the matrix is in single precision, its tables good to 1e-5

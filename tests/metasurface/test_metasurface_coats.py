@@ -11,12 +11,14 @@ from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.parallel import single_threaded_blas
 from nacre.families.metasurface.tmatrix import particle_shapes
 from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks, gain, mirror_signs
-from nacre.families.metasurface.tmatrix.bem import Mesh, block_t_matrix, locate
 from nacre.families.metasurface.tmatrix.particle_shapes import (
+    Mesh,
     Shell,
     Sizes,
     SolvedBody,
+    block_t_matrix,
     cylinder_panels,
+    locate,
     spheroid_panels,
 )
 from nacre.families.metasurface.tmatrix.tmatrix_file import write_tmatrices

@@ -14,12 +14,13 @@ from nacre.core.errors import NacreError
 from nacre.core.parallel import in_threads
 from nacre.core.progress import on_progress
 from nacre.families.metasurface import material as model_selection
-from nacre.families.metasurface.ensemble import interpolation
+from nacre.families.metasurface.ensemble import ensemble
 from nacre.families.metasurface.ensemble.ensemble import ANGLES, Ensemble, same_order
 from nacre.families.metasurface.ensemble.supercells import orders, supercells, with_species
 from nacre.families.metasurface.monolayer.arrangement import Arrangement
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
-from nacre.families.metasurface.monolayer.ensemble_ratio import (
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.structure import (
     BLOCKS_ABOVE,
     Pairs,
     Ratio,
@@ -28,9 +29,8 @@ from nacre.families.metasurface.monolayer.ensemble_ratio import (
     block_sums,
     blocks,
     fit_ratio,
+    hard_disk_structure,
 )
-from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
-from nacre.families.metasurface.monolayer.structure import hard_disk_structure
 from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
 from nacre.families.metasurface.tmatrix.substrate import Embedded
 from nacre.material.material import material
@@ -289,7 +289,7 @@ def test_an_ensemble_is_reported_stored_and_solved_once(tmp_path, monkeypatch, c
         dark = {"substrate": {"n": 1.5, "k": 0.01}}  # nothing comes from below: a third of the work
         first = material(recipe(**dark)).bsdf(grid[:1])
         both = material(recipe(**dark)).bsdf(grid)
-        monkeypatch.setattr(interpolation, "_solve", lambda *_: pytest.fail("solved again"))
+        monkeypatch.setattr(ensemble, "_solve", lambda *_: pytest.fail("solved again"))
         again = material(recipe(title="under another name", **dark)).bsdf(grid)
     assert len(heard) == 2 and "1 wavelength (1 more are cached)" in heard[1]
     assert "standard error" in caplog.text
@@ -313,7 +313,7 @@ def _stopping(monkeypatch, after):
         return solve(self, number)
 
     monkeypatch.setattr(Ensemble, "solve", once)
-    monkeypatch.setattr(interpolation, "in_workers", lambda work, items, keep: [keep(i, work(i)) for i in items])
+    monkeypatch.setattr(ensemble, "in_workers", lambda work, items, keep: [keep(i, work(i)) for i in items])
     return solved
 
 
@@ -362,8 +362,8 @@ def test_a_stopped_run_goes_on_with_nothing_of_a_file_that_changed(tmp_path, mon
 def test_a_corrected_material_is_solved_once_without_a_cache_and_keeps_energy_and_reciprocity(monkeypatch):
     monkeypatch.setenv("NACRE_CACHE", "off")
     asked = []
-    solve = interpolation._solve
-    monkeypatch.setattr(interpolation, "_solve", lambda *given: asked.append(1) or solve(*given))
+    solve = ensemble._solve
+    monkeypatch.setattr(ensemble, "_solve", lambda *given: asked.append(1) or solve(*given))
     made = material(recipe())
     total = np.sum(list(made.spectrum(np.radians([0.0, 60.0, 85.0]), [500.0]).parts().values()), axis=0)
     assert total.max() <= 1 + 1e-9
@@ -523,8 +523,7 @@ def test_where_the_window_ends_changes_no_coupling(second, place):
 
     Light that a film guides goes far too: without the waves beyond its index they miss by 2.6 %.
     """
-    from nacre.families.metasurface.ensemble.multisphere import Coupling
-    from nacre.families.metasurface.ensemble.supercells import PeriodicCoupling
+    from nacre.families.metasurface.ensemble.supercells import Coupling, PeriodicCoupling
 
     stacks = {"glass": (surface(500.0, 1.5), 90.0), "film": (surface(500.0, 1.5, ((2.4, 120.0),)), 90.0), **INSIDE}
     (below, height), radius = stacks[place], 90.0

@@ -75,7 +75,7 @@ def test_values_are_reciprocal():
 
 @pytest.mark.full
 def test_the_spectrum_is_that_of_the_integrated_bsdf():
-    from nacre.measure.spectrum import bsdf_spectrum
+    from nacre.measure.evaluate import bsdf_spectrum
 
     grid, angles = np.array([450.0, 600.0]), np.radians([0.0, 30.0, 60.0])
     for substrate in ("Si", "glass"):

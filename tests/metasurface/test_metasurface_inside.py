@@ -10,13 +10,19 @@ from validation._metasurface_helpers import cross_sections
 import nacre
 from nacre.core.errors import NacreError
 from nacre.families.metasurface.ensemble.ensemble import Ensemble, EnsembleSettings
-from nacre.families.metasurface.ensemble.multisphere import reflected_coupling
-from nacre.families.metasurface.ensemble.supercells import BEYOND_IN_A_LAYER, lift, orders, supercells, with_species
+from nacre.families.metasurface.ensemble.supercells import (
+    BEYOND_IN_A_LAYER,
+    lift,
+    orders,
+    reflected_coupling,
+    supercells,
+    with_species,
+)
 from nacre.families.metasurface.monolayer.arrangement import Arrangement
 from nacre.families.metasurface.monolayer.evaluation import direct_powers
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
+from nacre.families.metasurface.tmatrix.axisymmetric import multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     ParticleOnStack,
     amplitude,
@@ -236,7 +242,7 @@ def test_an_ensemble_in_a_layer_of_the_ambient_s_index_is_that_of_a_gap(is_mixtu
 
 
 def test_one_solution_is_not_taken_for_that_of_the_same_stack_seen_from_another_layer():
-    from nacre.families.metasurface.ensemble.interpolation import _key
+    from nacre.families.metasurface.ensemble.ensemble import _key
 
     density = 0.1 / np.pi / RADIUS**2
     keys = set()

@@ -7,8 +7,7 @@ from scipy import ndimage
 
 from nacre.cli import run
 from nacre.core.errors import NacreError
-from nacre.families.metasurface.monolayer.arrangement import hard_disks
-from nacre.families.metasurface.monolayer.micrograph import find_particles, grey_levels, otsu
+from nacre.families.metasurface.monolayer.arrangement import find_particles, grey_levels, hard_disks, otsu
 from nacre.material.material import material
 
 PIXEL_NM = 20.0

@@ -14,15 +14,19 @@ from validation.metasurface_mixtures import mixture
 
 from nacre.cli import run
 from nacre.core.errors import NacreError
-from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings, _kind_factor
-from nacre.families.metasurface.ensemble.interpolation import expected_seconds
-from nacre.families.metasurface.ensemble.multisphere import Coupling, Period, direct_coupling
-from nacre.families.metasurface.ensemble.supercells import Supercell, lift, with_species
+from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings, _kind_factor, expected_seconds
+from nacre.families.metasurface.ensemble.supercells import (
+    Coupling,
+    Period,
+    Supercell,
+    direct_coupling,
+    lift,
+    with_species,
+)
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
 from nacre.families.metasurface.species import widened
-from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks
-from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
+from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks, multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions
 from nacre.material.material import material
 

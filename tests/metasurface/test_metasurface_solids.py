@@ -12,13 +12,18 @@ from nacre.cli import run
 from nacre.core.parallel import single_threaded_blas
 from nacre.families.metasurface.tmatrix import particle_shapes
 from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks, gain, mirror_signs
-from nacre.families.metasurface.tmatrix.bem import Mesh, block_t_matrix
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     ParticleOnStack,
     amplitude,
     wavenumber_cutoff,
 )
-from nacre.families.metasurface.tmatrix.particle_shapes import SolvedBody, cylinder_panels, spheroid_panels
+from nacre.families.metasurface.tmatrix.particle_shapes import (
+    Mesh,
+    SolvedBody,
+    block_t_matrix,
+    cylinder_panels,
+    spheroid_panels,
+)
 from nacre.matter.indices.spec import IndexSpec
 
 BARS = {"spheroid": 1e-4, "silicon disc": 5e-3, "metal disc": 2e-2}  # of cross-sections: the issue's

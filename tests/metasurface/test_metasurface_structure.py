@@ -18,7 +18,7 @@ from nacre.families.metasurface.monolayer.structure import (
     hard_disk_structure,
 )
 from nacre.families.metasurface.spec import StructureSpec
-from nacre.readers.file_spec import FileSpec
+from nacre.readers.curves import FileSpec
 from nacre.recipe.model import RecipeContext
 
 MONTE_CARLO_BAR = 0.02

@@ -239,7 +239,7 @@ def test_the_michel_levy_chart_is_refused_for_an_opaque_film():
 
 
 def test_retardances_and_crossed_polarisers_are_those_of_a_retarder():
-    from nacre.measure.polarisation import crossed_polarisers, retardance_nm
+    from nacre.measure.evaluate import crossed_polarisers, retardance_nm
 
     delta = 2.0 * np.pi * 1234.0 / NM
     matrices = np.zeros((len(NM), 4, 4))  # fast axis along p

@@ -12,10 +12,9 @@ import pytest
 import nacre
 from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.formats.gonio_csv import GonioData, gonio_data
-from nacre.formats.measured_files import write_astm, write_brdf_json, write_speos
-from nacre.formats.measured_lobes import measured_table
-from nacre.formats.rgl import RglBsdf, rgl_fields, write_tensor
+from nacre.formats.bsdf_tables import rgl_fields, write_tensor
+from nacre.formats.measured_lobes import GonioData, gonio_data, measured_table, write_astm, write_brdf_json, write_speos
+from nacre.readers.bsdf.databases import RglBsdf
 from nacre.readers.bsdf.ray_tracers import read_zemax_table, scatter_direction
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions
 from nacre.readers.registry import open_file

@@ -11,9 +11,9 @@ import pytest
 from nacre.core.errors import NacreError
 from nacre.material.material import material
 from nacre.optimise.colour_list import read_colours
+from nacre.readers.headings import light_above
 from nacre.readers.heights.surface import read_map
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions
-from nacre.readers.preamble import light_above
 from nacre.readers.registry import open_file
 
 NM = range(400, 701, 20)

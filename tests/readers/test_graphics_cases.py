@@ -54,7 +54,7 @@ def value(material: Any, theta_i: float, theta_o: float, phi_o: float) -> float:
 
 
 def test_asymmetric_scatter_keeps_both_sides(case: Any, brought: Any) -> None:
-    from nacre.formats.zemax import scatter_direction
+    from nacre.formats.bsdf_tables import scatter_direction
 
     material, _ = brought(case("E4-zemax-asym") / "z_as1.bsdf")
     for azimuth, expected in ((60.0, 0.3), (300.0, 0.1)):
@@ -115,7 +115,8 @@ def test_own_tables_keep_their_values(tmp_path: Path) -> None:
 
 
 def test_rgb_tensors_get_smooth_spectra(case: Any, brought: Any, tmp_path: Path) -> None:
-    from nacre.formats.rgl import read_tensor, write_tensor
+    from nacre.formats.bsdf_tables import write_tensor
+    from nacre.readers.bsdf.databases import read_tensor
 
     gold = nacre.load(case("E3-rgl-rgb") / "g.toml")
     nacre.export(gold, "rgl", tmp_path / "g.bsdf")

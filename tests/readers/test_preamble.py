@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from nacre.core.errors import NacreError
+from nacre.readers.headings import read_preamble
 from nacre.readers.measurement import ReadOptions
-from nacre.readers.preamble import read_preamble
 from nacre.readers.registry import open_file
 
 

@@ -325,7 +325,7 @@ def test_aovs_use_individual_numbers_if_paths_are_random(
     recipe: str, is_alike: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A share of one in twenty would be met by no sample here, by all there: patterns of random walks."""
-    from nacre.picture import tiling
+    from nacre.picture import passes as tiling
 
     asked: list[bool] = []
     real = tiling.begin

@@ -8,8 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from nacre.picture.shapes import backdrop, insects, objects, printed
-from nacre.picture.shapes.car import car
+from nacre.picture.shapes import insects, mesh, objects, printed
 from nacre.picture.shapes.mesh import (
     Mesh,
     bspline,
@@ -24,7 +23,7 @@ from nacre.picture.shapes.mesh import (
     split,
     surface_net,
 )
-from nacre.picture.shapes.objects import speedshape
+from nacre.picture.shapes.objects import car, speedshape
 
 # a coarser car, to keep the test short; the closedness does not depend on the spacing
 CAR_SPACING = 0.03
@@ -38,7 +37,7 @@ CLOSED: dict[str, Callable[[], Mesh]] = {
     "knob": objects.knob,
     "knob core": objects.knob_core,
     "knob foot": objects.knob_foot,
-    "sheet": lambda: backdrop.sheet(1.7, 1.9),
+    "sheet": lambda: mesh.sheet(1.7, 1.9),
     "lens elements": objects.elements,
     "balls": objects.balls,
 }
@@ -55,10 +54,10 @@ OPEN: dict[str, Callable[[], Mesh]] = {
     "margins": insects.butterfly_margins,
     "veins": insects.butterfly_veins,
     "butterfly body": insects.butterfly_body,
-    "sweep": lambda: backdrop.sweep(5, 4, 3, 2, 3),
-    "bowl": lambda: backdrop.bowl(1.4, 9.0, 4.2),
-    "rolled": lambda: backdrop.rolled(1.7, 0.8, 170.0),
-    "tile": lambda: backdrop.tile(1, 1),
+    "sweep": lambda: mesh.sweep(5, 4, 3, 2, 3),
+    "bowl": lambda: mesh.bowl(1.4, 9.0, 4.2),
+    "rolled": lambda: mesh.rolled(1.7, 0.8, 170.0),
+    "tile": lambda: mesh.tile(1, 1),
     "seal": printed.seal,
     "card": printed.card_face,
     "name ring": objects.name_ring,

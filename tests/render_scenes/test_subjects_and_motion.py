@@ -14,9 +14,9 @@ import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.picture.images import read_provenance
+from nacre.picture.picture import BEAM_DEG, screen_directions
 from nacre.picture.scenes.catalogue import SCENES, SHAPES
 from nacre.picture.scenes.subjects import read_mesh, stand_on_floor, subject_parts
-from nacre.picture.screen import BEAM_DEG, screen_directions
 from nacre.picture.shapes.mesh import Mesh, merge, revolve
 from nacre.render import animation
 
@@ -145,7 +145,7 @@ def test_every_shape_stands_whole_in_the_frame_of_every_scene(
 def test_what_belongs_to_a_subject_is_not_left_with_another() -> None:
     """The pin and the label of the beetle stand neither by another shape nor in a street."""
     from nacre.picture.built_scene import BuiltScene, with_subject
-    from nacre.picture.lights.named import make_light
+    from nacre.picture.lights.emitter_plugins import make_light
 
     scene = SCENES["beetle"]
     other = with_subject(scene, SCENES["cuff"].parts)
@@ -159,7 +159,7 @@ def test_what_belongs_to_a_subject_is_not_left_with_another() -> None:
 def test_an_open_lens_blurs_what_is_not_in_focus() -> None:
     """A view keeps its lens however it is moved, and the camera that is built has it."""
     from nacre.picture.built_scene import BuiltScene
-    from nacre.picture.lights.named import make_light
+    from nacre.picture.lights.emitter_plugins import make_light
 
     view = SCENES["cuff"].view
     assert view.placed(30.0, 40.0).lens == view.turned(10.0).lens == view.zoomed(2.0).lens == view.lens > 0
@@ -401,7 +401,7 @@ def test_a_matt_tile_throws_the_fourth_power_of_the_cosine(grey: Any) -> None:
 
 
 def test_the_pattern_turns_on_the_screen_and_tips_with_the_tile() -> None:
-    from nacre.picture.screen import beam_direction, turned_directions
+    from nacre.picture.picture import beam_direction, turned_directions
 
     for turn, tip in ((0.0, 0.0), (90.0, 0.0), (30.0, 20.0)):
         d, _, lamp = turned_directions((51, 51), turn, tip)
@@ -430,7 +430,7 @@ def test_a_relief_moves_on_the_screen(tmp_path: Path) -> None:
 
 def test_the_screen_by_arrays_equals_the_screen_by_plugin() -> None:
     from nacre.device.variant import use_variant
-    from nacre.picture.screen import beam_direction, evaluate_arrays, evaluate_plugin
+    from nacre.picture.picture import beam_direction, evaluate_arrays, evaluate_plugin
 
     recipe = {
         "family": "film",

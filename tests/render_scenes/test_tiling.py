@@ -11,7 +11,7 @@ import pytest
 
 import nacre
 from nacre.picture import passes
-from nacre.picture.tiling import MARGIN, TiledCamera, divide
+from nacre.picture.passes import MARGIN, TiledCamera, divide
 
 pytestmark = pytest.mark.render
 
@@ -72,7 +72,7 @@ def test_a_filter_needs_the_margin(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without it the rows at the edges of tiles would miss samples of their neighbours: seams."""
     assert MARGIN >= 2  # Mitsuba's Gaussian filter reaches so far
     whole = _in_tiles(monkeypatch, SIZE[0] * SIZE[1], spp=2, denoise=False)
-    monkeypatch.setattr("nacre.picture.tiling.MARGIN", 0)
+    monkeypatch.setattr("nacre.picture.passes.MARGIN", 0)
     seams = _in_tiles(monkeypatch, SIZE[0] * ROWS, spp=2, denoise=False)
     off = np.abs(seams.xyz - whole.xyz).max(axis=(1, 2)) > 0.01 * whole.xyz.mean()
     assert {ROWS - 1, ROWS} <= set(np.flatnonzero(off))

@@ -30,7 +30,7 @@ MIRROR = {"family": "film", "substrate": "Al"}
 def seen(scene: Scene, count: int = 96) -> tuple[np.ndarray, np.ndarray]:
     """uv `[row, column, 2]` of the subject before its own camera, NaN elsewhere, and the points hit."""
     from nacre.picture.built_scene import BuiltScene
-    from nacre.picture.lights.named import make_light
+    from nacre.picture.lights.emitter_plugins import make_light
 
     built = BuiltScene(scene, make_light("directional", "D65", 0.0), see_through=False)
     from nacre.device.variant import use_variant
@@ -365,7 +365,7 @@ def test_any_mesh_fits_the_frame(tmp_path: Path, name: str, scene: str) -> None:
 def test_a_drawing_stands_on_the_screen_as_a_design_aims_at_it(tmp_path: Path) -> None:
     """The picture that a target asks for, looked up in the directions of the screen's pixels, is the drawing."""
     from nacre.optimise.relief.pictures import load_picture, picture_on_directions
-    from nacre.picture.screen import beam_direction, screen_directions
+    from nacre.picture.picture import beam_direction, screen_directions
 
     drawn = letter(tmp_path / "r.png")
     d, on_screen = screen_directions((64, 64))
@@ -378,7 +378,7 @@ def test_a_drawing_stands_on_the_screen_as_a_design_aims_at_it(tmp_path: Path) -
 
 @pytest.mark.full
 def test_a_designed_letter_reads_as_drawn_on_the_screen_and_in_the_preview(tmp_path: Path) -> None:
-    from nacre.picture.screen import HALF_WIDTH
+    from nacre.picture.picture import HALF_WIDTH
 
     drawn = letter(tmp_path / "r.png")
     (tmp_path / "r.toml").write_text(

@@ -12,8 +12,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from starlette.testclient import TestClient
 
 from nacre.studio.folder import OpenedFolder
-from nacre.studio.security import HEADER
-from nacre.studio.server import make_app
+from nacre.studio.server import HEADER, make_app
 
 
 @pytest.fixture(scope="module")

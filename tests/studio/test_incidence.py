@@ -17,7 +17,7 @@ from starlette.testclient import TestClient
 
 import nacre
 from nacre.light import spectrum_to_rgb_linear
-from nacre.studio.form import family_form
+from nacre.studio.edit import family_form
 
 PLATE = """family = "film"
 substrate = 1.5

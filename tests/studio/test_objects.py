@@ -23,12 +23,10 @@ from nacre.picture.lights.environments import directions
 from nacre.picture.scenes.subjects import read_mesh
 from nacre.picture.shapes.mesh import Mesh, parametric
 from nacre.recipe.toml import parse_toml
-from nacre.studio import objects, routes
+from nacre.studio import objects, server
 from nacre.studio.folder import OpenedFolder
-from nacre.studio.measured import computed_psi_delta
-from nacre.studio.objects import OBJECTS, MeshStore, simplified
-from nacre.studio.security import HEADER
-from nacre.studio.server import make_app
+from nacre.studio.objects import OBJECTS, MeshStore, computed_psi_delta, simplified
+from nacre.studio.server import HEADER, make_app
 from nacre.studio.surroundings import ALPHAS, GREY, LAYERS, ROWS, without_lamp
 
 PORT, TOKEN = 8125, "a-token-for-the-tests"
@@ -158,7 +156,7 @@ def test_a_mesh_that_cannot_be_read_is_one_line(client: TestClient, name: str, c
 
 
 def test_a_large_mesh_is_refused(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(routes, "MAX_UPLOAD", 100)
+    monkeypatch.setattr(server, "MAX_UPLOAD", 100)
     answer = client.post("/api/mesh?name=roof.obj", content=ROOF.encode())
     assert answer.status_code == 422 and "MiB" in answer.json()["error"]
     assert client.post("/api/mesh?name=roof.obj&up=w", content=b"v 0 0 0").status_code == 422
@@ -208,7 +206,7 @@ def test_a_sky_lights_the_floor_as_mitsuba_says(name: str) -> None:
     """A matt white sheet under the picture's own light, rendered, beside the table that the page draws with."""
     from nacre.device.variant import use_variant
     from nacre.light import xyz_to_srgb_linear
-    from nacre.picture.lights.named import make_light
+    from nacre.picture.lights.emitter_plugins import make_light
     from nacre.studio.surroundings import sky_job
 
     mi = use_variant()

@@ -22,12 +22,9 @@ from nacre.core.errors import NacreError
 from nacre.families.registry import FAMILIES
 from nacre.light import delta_e_2000, spectrum_to_rgb_linear, spectrum_to_srgb, srgb_to_hex
 from nacre.studio.appearance import appearances
-from nacre.studio.edit import edited, line_of
+from nacre.studio.edit import edited, family_form, line_of
 from nacre.studio.folder import STARTS, OpenedFolder
-from nacre.studio.form import family_form
-from nacre.studio.security import HEADER
-from nacre.studio.server import make_app
-from nacre.studio.session import json_data
+from nacre.studio.server import HEADER, json_data, make_app
 from nacre.studio.subprocess_jobs import SupersededError
 from nacre.studio.surroundings import ALPHAS, LAYERS, blurred_surroundings
 
@@ -402,7 +399,7 @@ def test_the_gloss_of_mitsubas_rough_mirror_is_that_mirror(alpha: float) -> None
     code = f"""
 import numpy as np, mitsuba as mi
 mi.set_variant("scalar_rgb")
-from nacre.measure.gloss import fit_gloss
+from nacre.measure.colours import fit_gloss
 mirror = mi.load_dict({{"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": {alpha}}})
 def values(wi, wo):
     found = []

@@ -42,7 +42,7 @@ def imports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
         export_material(material, target, folder / name, angle_step_deg=30.0, wavelength_nm=550.0)
     for target, name in (("gltf", "film.gltf"), ("materialx", "film.mtlx")):
         export_material(smooth, target, folder / name)
-    from nacre.formats.rgl import rgl_fields, write_tensor
+    from nacre.formats.bsdf_tables import rgl_fields, write_tensor
 
     two = material.bsdf(np.array([450.0, 550.0]))
     write_tensor(folder / "rgl.bsdf", rgl_fields(two, "x", resolution=8, theta_nodes=3))

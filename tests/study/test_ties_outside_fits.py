@@ -1,4 +1,4 @@
-"""Tied numbers follow in tolerances, diagnoses and `--set`."""
+"""Tied numbers follow in tolerances, diagnoses, sweeps and `--set`; designs and gamuts refuse them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,13 @@ import pytest
 
 import nacre
 from nacre.analysis.diagnose import SpectrumObservation
+from nacre.analysis.sweep import run_sweep
+from nacre.analysis.sweep_plan import load_sweep
 from nacre.analysis.tolerance import recipe_tolerances, run_tolerance
 from nacre.cli import common, run
 from nacre.core.errors import NacreError, RecipeError
+from nacre.core.jobs import Workers
+from nacre.optimise.task import read_task
 from nacre.recipe.toml import dump_toml
 
 FIRST, LAST = "layers[0].thickness_nm", "layers[2].thickness_nm"
@@ -74,3 +78,39 @@ def test_tolerances_may_be_an_iterator_but_not_of_two_sorts() -> None:
     assert {path for path, *_ in found.sensitivities} == {FIRST, "layers[1].thickness_nm"}
     with pytest.raises(NacreError):
         run_tolerance(film, [*recipe_tolerances(film), "layers[1].thickness_nm=2"], draws=2)
+
+
+def test_a_sweep_moves_tied_numbers_along(tmp_path: Path) -> None:
+    import xarray
+
+    axes = f'[axes]\n"{FIRST}" = [100, 130]\n'
+    (tmp_path / "sweep.toml").write_text(f'recipe = "film.toml"\n{axes}[measure]\nwavelengths_nm = [450, 600]\n')
+    film = nacre.material(FILM)
+    for ties, last in ((FILM["ties"], 120.0), ({LAST: f"2*{FIRST}"}, 260.0)):
+        (tmp_path / "film.toml").write_text(dump_toml({**FILM, "ties": ties}))
+        # another tie is another sweep
+        store = tmp_path / f"{last:g}.zarr"
+        assert run_sweep(load_sweep(tmp_path / "sweep.toml"), store, workers=Workers(1)) == (2, 0)
+        with xarray.open_zarr(store, consolidated=False) as data:
+            found = data["specular_reflectance"].values[1, 0]
+        expected = film.vary({FIRST: 130.0, LAST: last}).spectrum(0.0, [450.0, 600.0]).specular_reflectance[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+    with pytest.raises(NacreError):
+        run_sweep(load_sweep(tmp_path / "sweep.toml"), tmp_path / "120.zarr", workers=Workers(1))
+    (tmp_path / "sweep.toml").write_text(f'recipe = "film.toml"\n[axes]\n"{LAST}" = [90, 95]\n')
+    with pytest.raises(RecipeError, match=r"ties\."):
+        load_sweep(tmp_path / "sweep.toml")
+
+
+@pytest.mark.parametrize("number", [FIRST, LAST])
+def test_designs_and_gamuts_refuse_ties_of_what_they_vary(number: str) -> None:
+    with pytest.raises(RecipeError, match=r"ties\."):
+        nacre.gamut(FILM, [f"{number}=50:200"], points=20)
+    target = {
+        "recipe": FILM, "parameters": {number: {"min": 50, "max": 200}},
+        "target": [{"geometry": "specular 0", "lab": [50, 0, 0]}],
+    }  # fmt: skip
+    with pytest.raises(RecipeError, match=r"ties\."):
+        read_task(target)
+    found = nacre.gamut(FILM, ["layers[1].thickness_nm=50:200"], points=20)
+    assert len(found.lab) == 20

@@ -71,7 +71,7 @@ class Sound:
         from PIL import Image
 
         from nacre.analysis.import_export import export_material
-        from nacre.formats.rgl import rgl_fields, write_tensor
+        from nacre.formats.bsdf_tables import rgl_fields, write_tensor
 
         (folder / "film.toml").write_text(ROUGH)
         rough, smooth = nacre.load(folder / "film.toml"), nacre.material(tomllib.loads(FILM))
@@ -264,7 +264,7 @@ def _measurement(path: Path, folder: Path) -> None:
 
 
 def _calibration(path: Path, folder: Path) -> None:
-    from nacre.formats.calibration import read_calibration
+    from nacre.formats.layouts import read_calibration
 
     read_calibration(path)
 

@@ -18,7 +18,7 @@ from nacre.core.files import write_text
 from nacre.core.html import render_page
 from nacre.light import delta_e_2000, smooth_weights, spans_colour, swatch_hex, white_xyz, xyz_to_lab
 from nacre.optimise.parameters import Parameter
-from nacre.plot.html import DPI, data_uri
+from nacre.plot.style import DPI, data_uri
 
 if TYPE_CHECKING:
     from nacre.plot import DesignSheet, Figure, FitPanel

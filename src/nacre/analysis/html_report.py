@@ -17,7 +17,7 @@ from nacre.light.colour_differences import DIN_6175
 from nacre.material.material import Material
 from nacre.measure.colours import colour_spectrum
 from nacre.measure.texture import texture_document, texture_rows
-from nacre.plot.html import data_uri
+from nacre.plot.style import data_uri
 
 if TYPE_CHECKING:
     from nacre.plot import Figure

@@ -14,12 +14,28 @@ from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path, check_writable, plain, why_unreadable, write_text
 from nacre.families.contract import Masked, OwnFormats
-from nacre.formats.export_formats import FOLDERS
+from nacre.formats.bsdf_tables import (
+    FOLDERS,
+    delta_lost,
+    gonio_grid,
+    is_isotropic,
+    lost_parts,
+    merl_lobe,
+    merl_table,
+    read_merl_filled,
+    write_merl,
+)
 from nacre.formats.foreign_materials import ThicknessMap, read_gltf, read_materialx
-from nacre.formats.gonio_csv import MAX_VALUE, GonioData, gonio_data, write_gonio_csv
-from nacre.formats.half_angle_tables import merl_table, read_merl_filled, write_merl
-from nacre.formats.lobes import delta_lost, gonio_grid, is_isotropic, lost_parts, merl_lobe
-from nacre.formats.measured_lobes import LAWS, measured_table, rgb_basis, with_spectra
+from nacre.formats.measured_lobes import (
+    LAWS,
+    MAX_VALUE,
+    GonioData,
+    gonio_data,
+    measured_table,
+    rgb_basis,
+    with_spectra,
+    write_gonio_csv,
+)
 from nacre.light import default_wavelengths
 from nacre.material.material import MAX_EXCESS, Material, MaterialLike, as_material, material_from_data
 from nacre.readers.measurement import ReadOptions
@@ -99,7 +115,7 @@ def export_material(
     if target == "nacre":
         bsdf.save(path)
     elif target == "rgl":
-        from nacre.formats.rgl import write_rgl
+        from nacre.formats.bsdf_tables import write_rgl
 
         facts["lost"] = write_rgl(path, bsdf, comment, is_isotropic=is_isotropic(bsdf))
     elif target == "merl":
@@ -108,7 +124,7 @@ def export_material(
         write_merl(path, merl_table(bsdf))
         facts["lost"] += ["the spectrum: MERL holds linear RGB"] + lost_parts(bsdf)
     elif target == "zemax":
-        from nacre.formats.zemax import write_zemax, zemax_table
+        from nacre.formats.bsdf_tables import write_zemax, zemax_table
 
         write_zemax(path, zemax_table(bsdf, wavelength_nm), comment)
         facts["lost"] = lost_parts(bsdf)
@@ -118,7 +134,7 @@ def export_material(
     elif target in ("astm", "brdf-json", "speos"):
         facts["lost"] = _export_measured(bsdf, target, path, angle_step_deg, material.name, comment)
     elif target == "exr":
-        from nacre.formats.half_angle_tables import write_slice
+        from nacre.formats.bsdf_tables import write_slice
 
         write_slice(path, bsdf, comment)
         facts["lost"] = ["all but one slice over (theta_half, theta_diff)"] + lost_parts(bsdf)
@@ -139,7 +155,7 @@ def _export_tmatrix(material: Material, path: Path, comment: str) -> list[str]:
 
 def _export_measured(bsdf: Bsdf, target: str, path: Path, step_deg: float, name: str, comment: str) -> list[str]:
     """Write a direction grid in a format of measurements and return the lost properties."""
-    from nacre.formats.measured_files import write_astm, write_brdf_json, write_speos
+    from nacre.formats.measured_lobes import write_astm, write_brdf_json, write_speos
 
     lost, data = delta_lost(bsdf), gonio_grid(bsdf, step_deg)
     if target == "speos":
@@ -162,7 +178,7 @@ def _export_measured(bsdf: Bsdf, target: str, path: Path, step_deg: float, name:
 
 def _export_table(material: Material, folder: Path, illuminant: str, progress: Callable[[str], None]) -> dict[str, Any]:
     from nacre.analysis.lut import make_table
-    from nacre.formats.lut.write import check_folder, write_table
+    from nacre.formats.lut import check_folder, write_table
 
     check_folder(folder)
     table = make_table(material, illuminant, progress)
@@ -207,12 +223,12 @@ def _export_film(material: Material, target: str, path: Path, mesh: str | Path |
 
         write_gltf(path, fit.film, material.name, provenance, parts, mapped.thickness if mapped else None)
     elif target == "usd":
-        from nacre.formats.thin_film import materialx_document
+        from nacre.formats.gltf import materialx_document
         from nacre.formats.usd import write_usd
 
         write_usd(path, materialx_document(fit.film, material.name), comment)
     else:
-        from nacre.formats.thin_film import write_materialx
+        from nacre.formats.gltf import write_materialx
 
         write_materialx(path, fit.film, material.name, comment)
     if mesh is not None:
@@ -421,7 +437,7 @@ def _on_own_nodes(source: Path, form: str) -> tuple[TableLobe, list[str]]:
         table, remarks = read_merl_filled(source)
         return merl_lobe(table), [RGB_REMARK, *remarks]
     if form == "zemax":
-        from nacre.formats.lobes import zemax_lobe
+        from nacre.formats.bsdf_tables import zemax_lobe
         from nacre.readers.bsdf.ray_tracers import read_zemax_table
 
         zemax = read_zemax_table(source)
@@ -439,11 +455,11 @@ def _on_own_nodes(source: Path, form: str) -> tuple[TableLobe, list[str]]:
             what = "differ: the sample is anisotropic" if kept else "agree and were averaged"
             remarks.append(f"{len(zemax.rotation_deg)} sample rotations {what}")
         return lobe, remarks
-    from nacre.formats.rgl import RglBsdf
+    from nacre.formats.bsdf_tables import RglBsdf
 
     rgl = RglBsdf.read(source)
     if not rgl.is_isotropic:
-        from nacre.formats.lobes import rgl_lobe
+        from nacre.formats.bsdf_tables import rgl_lobe
 
         lobe, remarks = rgl_lobe(rgl)
         return lobe, [*([RGB_REMARK] if rgl.wavelengths_nm is None else []), *remarks]

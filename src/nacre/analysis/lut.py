@@ -24,27 +24,26 @@ from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import ParameterAxis, Texture, refuse_place
 from nacre.core.arrays import Array, direction, take_at
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.formats.lobes import is_isotropic
-from nacre.formats.lut.table import (  # fmt: skip
+from nacre.formats.bsdf_tables import is_isotropic
+from nacre.formats.lut import (
     Closure,
     Facets,
     LightTable,
     Parameter,
     Picture,
     angle_coordinate,
+    as_png,
     column_angles,
     lobe_directions,
     lobe_value,
     lobe_weight,
 )
-from nacre.formats.lut.write import as_png
 from nacre.light import delta_e_2000, spectrum_to_rgb_matrix, srgb_linear_to_xyz, xyz_to_lab
 from nacre.light.tables import Illuminant, illuminant
 from nacre.light.tristimulus import weighted_sum
 from nacre.material.material import Material, StoredBsdf
-from nacre.measure.colours import colour_bsdf
+from nacre.measure.colours import Gloss, colour_bsdf, find_gloss, fit_lobes
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
-from nacre.measure.gloss import Gloss, find_gloss, fit_lobes
 
 COLUMNS = 256
 ROUGH_COLUMNS = 91  # columns of the smooth colours averaged over facets

@@ -33,9 +33,15 @@ from nacre.light.colour_differences import DIN_6175
 from nacre.material.material import MaterialLike, as_material
 from nacre.measure import geometry
 from nacre.measure.colours import colour_bsdf, recipe_geometries
-from nacre.measure.evaluate import evaluate_with_error, hemispherical, warn_of_table
+from nacre.measure.evaluate import (
+    SelectiveBand,
+    circular_reflection,
+    evaluate_with_error,
+    hemispherical,
+    selective_band,
+    warn_of_table,
+)
 from nacre.measure.geometry import Geometry, aspecular_pairs
-from nacre.measure.polarisation import SelectiveBand, circular_reflection, selective_band
 from nacre.measure.texture import Texture
 
 SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from nacre._version import __version__
 from nacre.analysis.sweep_plan import Sweep, SweepSpec, load_sweep, measurement_from, point_seed
+from nacre.analysis.ties import tied_maker
 from nacre.core.errors import NacreError
 from nacre.core.files import check_writable, plain, temporary_prefix
 from nacre.core.jobs import Workers, run_jobs
@@ -394,7 +395,7 @@ def _parametrised(
     folder: str, data: str, paths: tuple[str, ...], files: tuple[tuple[str, str], ...]
 ) -> Callable[[Mapping[str, Any]], Material]:
     """Return the parametrised material; `files` are the digests that make another one of changed files."""
-    return material(json.loads(data), folder).at_low_fidelity(is_reported=True).parametrise(paths)
+    return tied_maker(material(json.loads(data), folder).at_low_fidelity(is_reported=True), paths)
 
 
 __all__ = ["Store", "Sweep", "SweepSpec", "load_sweep", "run_sweep"]

@@ -13,6 +13,7 @@ import numpy as np
 import pydantic
 from numpy.typing import NDArray
 
+from nacre.analysis.ties import tied_maker
 from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array
@@ -367,9 +368,11 @@ class Sweep:
         fractions = (
             None if self.points.fractions is None else hashlib.sha256(self.points.fractions.tobytes()).hexdigest()
         )
+        ties = self.material.data.get("ties")
         return fingerprint(
             self.material.fingerprint, self.files, axes=axes, fractions=fractions, mode=self.points.mode,
             measurement={key: value for key, value in asdict(self.measurement).items() if key != "texture" or value},
+            **({"ties": ties} if ties else {}),
         )  # fmt: skip
 
 
@@ -387,7 +390,7 @@ def load_sweep(path: str | Path) -> Sweep:
     points = read_points(spec.axes, spec.mode, spec.count, spec.seed, str(path))
     measurement = _measurement(spec.measure, material, str(path))
     try:
-        first = material.vary(points.changes(0))
+        first = tied_maker(material, [axis.path for axis in points.axes])(points.changes(0))
     except NacreError as error:
         # failures of later points are recorded; a failure of the first one indicates a typing error
         raise RecipeError(f"{path}: the first point cannot be built: {error}") from None

@@ -11,9 +11,7 @@ from nacre.bsdf.texture import Texture
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Masked
-from nacre.formats.lut.table import Closure, LightTable, Picture, column_angles
-from nacre.formats.lut.three import Share, ThreePart, write_three
-from nacre.formats.lut.write import check_folder
+from nacre.formats.lut import Closure, LightTable, Picture, Share, ThreePart, check_folder, column_angles, write_three
 from nacre.material.material import Material
 
 COLUMNS = 64  # angles of view

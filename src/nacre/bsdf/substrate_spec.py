@@ -14,8 +14,7 @@ from nacre.bsdf.substrate import Strata, Substrate
 from nacre.core.errors import RecipeError
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
-from nacre.readers.curves import recipe_spectrum
-from nacre.readers.file_spec import FileSpec
+from nacre.readers.curves import FileSpec, recipe_spectrum
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]

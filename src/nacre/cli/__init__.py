@@ -52,13 +52,13 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "fabricate": ("nacre.cli.design", "Write the files to make a design or a material."),
     "export": ("nacre.cli.show", "Write a material in another program's format."),
     "blender": ("nacre.cli.machine", "Write the extension for Blender."),
-    "read": ("nacre.cli.read", "Say what a file of an instrument or another program contains."),
+    "read": ("nacre.cli.show", "Say what a file of an instrument or another program contains."),
     "import": ("nacre.cli.show", "Read a measurement or another program's material into a recipe."),
-    "fit": ("nacre.cli.fit", "Fit parameters of a recipe to measurements."),
+    "fit": ("nacre.cli.analysis", "Fit parameters of a recipe to measurements."),
     "studio": ("nacre.cli.render", "Open a live page on a recipe, on this machine only."),
     "report": ("nacre.cli.analysis", "Report colour, gloss, haze and flop as instruments measure them."),
     "tolerance": ("nacre.cli.analysis", "Compute colour variation and yield from manufacturing tolerances."),
-    "diagnose": ("nacre.cli.fit", "Estimate what was off in a finished coating run."),
+    "diagnose": ("nacre.cli.analysis", "Estimate what was off in a finished coating run."),
     "formulate": ("nacre.cli.design", "Match an effect paint with pigments of a library."),
     "runsheet": ("nacre.cli.analysis", "Print monitor signals and stop criteria of a coating run."),
     "sweep": ("nacre.cli.analysis", "Compute a material over many values of its numbers."),
@@ -74,29 +74,24 @@ class LazyGroup(click.Group):
     """A group that imports a command only to run it or to show its help."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [name for name in COMMANDS if _exists(COMMANDS[name][0])]
+        return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        if name not in self.list_commands(ctx):
+        if name not in COMMANDS:
             return None
         module = importlib.import_module(COMMANDS[name][0])
-        command: click.Command = module.commands[name]
+        command: click.Command = getattr(module, name, None) or getattr(module, f"{name}_")  # `import_`, `compile_`
         return command
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
-        if args and args[0] not in self.list_commands(ctx):
+        if args and args[0] not in COMMANDS:
             hint = did_you_mean(args[0], COMMANDS)
-            raise click.UsageError(f'no command "{args[0]}".{hint} Commands: {", ".join(self.list_commands(ctx))}')
+            raise click.UsageError(f'no command "{args[0]}".{hint} Commands: {", ".join(COMMANDS)}')
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl([(name, COMMANDS[name][1]) for name in self.list_commands(ctx)])
-
-
-def _exists(module: str) -> bool:
-    path = os.path.join(os.path.dirname(__file__), module.rpartition(".")[2] + ".py")
-    return os.path.exists(path)
+            formatter.write_dl([(name, COMMANDS[name][1]) for name in COMMANDS])
 
 
 @click.group(

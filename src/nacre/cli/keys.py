@@ -15,7 +15,7 @@ from nacre.core.errors import NacreError, did_you_mean
 from nacre.families.registry import family_names, family_spec
 from nacre.matter.indices.anisotropic_spec import AnisotropicSpec
 from nacre.matter.indices.spec import IndexSpec
-from nacre.readers.file_spec import FileSpec
+from nacre.readers.curves import FileSpec
 from nacre.recipe.keys import Key, find_key, keys_of, one_sentence, shared_tables, tables_below, toml_lines
 from nacre.recipe.model import RecipeModel
 from nacre.recipe.path_tables import StudySpec
@@ -27,7 +27,7 @@ OTHER_FILES = {
     "relief-design": "nacre.optimise.relief.target:TargetSpec",
     "design": "nacre.optimise.spec:DesignSpec",
     "sweep": "nacre.analysis.sweep_plan:SweepSpec",
-    "gallery": "nacre.cli.gallery:GallerySpec",
+    "gallery": "nacre.cli.render:GallerySpec",
     "formulation": "nacre.optimise.formulation:FormulationSpec",
     "pigments": "nacre.optimise.formulation:LibrarySpec",
     "instrument": "nacre.measure.texture:Instrument",
@@ -248,6 +248,3 @@ def _record(found: Kind, place: str, key: Key) -> dict[str, object]:
         "default": key.default,
         "snippets": list(key.snippet),
     }
-
-
-commands: dict[str, click.Command] = {"keys": keys}

@@ -202,6 +202,3 @@ def blender(recipes: tuple[str, ...], output: str) -> None:
     check_writable(output)
     write_extension(Path(output), recipes, lambda event: common.note(event["what"]))
     common.note(output)
-
-
-commands = {"doctor": doctor, "indices": indices, "cache": cache, "examples": examples, "blender": blender}

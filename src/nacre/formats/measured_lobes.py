@@ -1,19 +1,25 @@
-"""Lobes of measured BSDFs: tables on the measured nodes, with remarks on everything that was filled or assumed."""
+"""Measured BSDFs: lobes on the measured nodes with remarks on all that was filled, goniometer CSV, other formats."""
 
 from __future__ import annotations
 
+import json
+import uuid
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.lobes.table import TableLobe
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.formats.gonio_csv import MAX_VALUE, GonioData
-from nacre.light import default_wavelengths, spectrum_to_rgb_matrix
-from nacre.readers.bsdf.samples import COLOURS
-from nacre.readers.measurement import Measurement
+from nacre.core.files import atomic_path, write_text
+from nacre.light import default_wavelengths, spectrum_to_rgb_matrix, xyz_to_srgb_linear
+from nacre.readers.bsdf.gonio_table import COLOURS, DEGREES, read_gonio
+from nacre.readers.bsdf.interchange import hemispherical_share
+from nacre.readers.measurement import Measurement, ReadOptions
 
 LAWS = ("half-angle",)
 MIN_PAIRS = 4
@@ -367,3 +373,229 @@ def with_spectra(lobe: TableLobe, measured: Measurement) -> tuple[TableLobe, lis
     if "wavelength_nm" not in measured.data:
         return replace(lobe, wavelengths_nm=wavelengths, basis=np.ones((1, len(wavelengths)))), []
     return lobe, []
+
+
+# Goniometric measurements as CSV: theta_i, phi_i, theta_o, phi_o (degrees), wavelength (nm), value (1/sr).
+
+COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "wavelength", "value")
+MAX_VALUE = 1e12  # far above any BSDF
+ROUND_TRIP_DIGITS = 9  # preserve float32
+ANGLE_DIGITS = 6  # decimals of angles in degrees that distinguish directions
+SAME = 1e-9  # relative difference of equal values
+MIN_MEASURED = 0.5  # share of pairs and wavelengths that must have a value
+
+
+@dataclass(frozen=True)
+class GonioData:
+    """A measurement on a grid of direction pairs.
+
+    Attributes:
+        angles_deg: `[pair, 4]`: theta_i, phi_i, theta_o, phi_o; theta above 90 is the other side.
+        wavelengths_nm: `[wavelength]`, ascending.
+        values: `[pair, wavelength]`, the BSDF in 1/sr, without the cosine.
+    """
+
+    angles_deg: Array
+    wavelengths_nm: Array
+    values: Array
+
+    @property
+    def wi(self) -> Array:
+        """Unit vectors to the light, `[pair, 3]`."""
+        return direction(*np.radians(self.angles_deg[:, :2].T))
+
+    @property
+    def wo(self) -> Array:
+        """Unit vectors to the viewer, `[pair, 3]`."""
+        return direction(*np.radians(self.angles_deg[:, 2:].T))
+
+
+def write_gonio_csv(path: str | Path, data: GonioData, comment: str = "") -> None:
+    """Write the measurement, one row per pair and wavelength; comment lines start with #.
+
+    Raises:
+        NacreError: the file cannot be written.
+    """
+    pairs, waves = data.values.shape
+    table = np.empty((pairs * waves, 6))
+    table[:, :4] = np.repeat(data.angles_deg, waves, axis=0)
+    table[:, 4] = np.tile(data.wavelengths_nm, pairs)
+    table[:, 5] = data.values.ravel()
+    with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        for line in comment.splitlines():
+            file.write(f"# {line}\n")
+        file.write(",".join(COLUMNS) + "\n")
+        np.savetxt(file, table, fmt=f"%.{ROUND_TRIP_DIGITS}g", delimiter=",")
+
+
+def read_gonio_csv(path: str | Path) -> GonioData:
+    """Read a measurement (see `nacre.readers.bsdf.gonio_table`); every direction pair has the same wavelengths.
+
+    Raises:
+        NacreError: the file is invalid; names the line or the column.
+    """
+    data, _ = gonio_data(read_gonio(Path(path), ReadOptions())[0])
+    return data
+
+
+def gonio_data(measured: Measurement) -> tuple[GonioData, list[str]]:
+    """Return a measurement as values by direction pair and wavelength (NaN: missing), and remarks.
+
+    Colour channels become smooth spectra; one value without a wavelength stands for all.
+
+    Raises:
+        UnsupportedError: the measurement holds no direction pairs.
+        NacreError: repeated directions contradict each other.
+    """
+    data, remarks = measured.data, list(measured.assumed)
+    if not set(DEGREES) <= set(data):
+        why = measured.left_out[0] if measured.left_out else "it holds no pairs of directions"
+        raise UnsupportedError(f"{measured.path}: cannot become a material: {why}")
+    if measured.metadata.get("scatter") == "btdf":
+        raise UnsupportedError(
+            f"{measured.path}: is a BTDF (transmitted scatter), and a measured material reflects only; a material that "
+            'transmits: family = "glass" with a rough surface; the values as a table: nacre read FILE -o scatter.csv'
+        )
+    angles = np.stack([data[name] for name in DEGREES], axis=-1)
+    colour = next((key for key in COLOURS.values() if key in data), None)
+    if colour is not None:
+        rgb = data[colour] if colour == COLOURS["rgb"] else np.asarray(xyz_to_srgb_linear(data[colour]))
+        return GonioData(angles, np.arange(1.0, 4.0), rgb), remarks
+    if "wavelength_nm" not in data:
+        return GonioData(angles, np.ones(1), data["bsdf"][:, None]), remarks
+    return _grouped(measured, angles, remarks)
+
+
+def _grouped(measured: Measurement, angles: Array, remarks: list[str]) -> tuple[GonioData, list[str]]:
+    """Sort rows into pairs and wavelengths; repeated rows are averaged."""
+    waves, wave_at = np.unique(measured.data["wavelength_nm"], return_inverse=True)
+    pairs, first, pair_at = np.unique(np.round(angles, ANGLE_DIGITS), axis=0, return_index=True, return_inverse=True)
+    place = (np.ravel(pair_at), np.ravel(wave_at))
+    value = measured.data["bsdf"]
+    known = np.isfinite(value)
+    total, count = np.zeros((len(pairs), len(waves))), np.zeros((len(pairs), len(waves)))
+    np.add.at(total, tuple(p[known] for p in place), value[known])
+    np.add.at(count, tuple(p[known] for p in place), 1)
+    with np.errstate(invalid="ignore"):
+        values = np.where(count > 0, total / count, np.nan)
+    repeated = int(np.sum(np.maximum(count - 1, 0)))
+    if repeated:
+        spread = np.max(np.abs(value[known] - values[place][known]) / np.maximum(np.abs(values[place][known]), 1e-12))
+        if spread > SAME:
+            remarks.append(
+                f"{repeated} rows repeat a direction and wavelength (within {spread:.2g}); they were averaged"
+            )
+    if np.mean(count > 0) < MIN_MEASURED and len(waves) > 1:
+        raise NacreError(
+            f"{measured.path}: has {int(np.sum(count > 0))} values for {len(pairs)} direction pairs and {len(waves)} "
+            "wavelengths; most pairs lack most wavelengths"
+        )
+    order = np.argsort(first)  # order of the file
+    return GonioData(pairs[order], waves, values[order]), remarks
+
+
+# Writing of tabulated BSDFs for other programs: ASTM E1392, universal BRDF JSON, Speos text.
+
+SPEOS_HEAD = "OPTIS - brdf surface file v9.0"
+
+
+def write_astm(path: str | Path, data: GonioData, comment: str = "") -> None:
+    """Write ASTM E1392 text: angles in radians, one column a wavelength.
+
+    Raises:
+        NacreError: the file cannot be written.
+    """
+    names = ["theta_i", "phi_i", "theta_s", "phi_s", *(f"{w:.9g}nm" for w in data.wavelengths_nm)]
+    table = np.concatenate([np.radians(data.angles_deg), data.values], axis=1)
+    with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        for line in comment.splitlines():
+            file.write(f"COMMENT {line}\n")
+        file.write(f"NUM_POINTS {len(table)}\nVARS={','.join(names)}\n")
+        np.savetxt(file, table, fmt=f"%.{ROUND_TRIP_DIGITS}g", delimiter=",")
+
+
+def write_brdf_json(path: str | Path, data: GonioData, name: str, comment: str = "") -> None:
+    """Write the universal BRDF format of the BiRD project, one row per pair and wavelength; uncertainties are 0.
+
+    Raises:
+        NacreError: the file cannot be written.
+    """
+    variables = [
+        ("theta_i", "deg", "polar angle of incidence"), ("phi_i", "deg", "azimuth of incidence"),
+        ("theta_r", "deg", "polar angle of reflection"), ("phi_r", "deg", "azimuth of reflection"),
+        ("wavelength_i", "nm", "wavelength"), ("BRDF", "sr-1", "bidirectional reflectance distribution function"),
+        ("uBRDF", "sr-1", "standard uncertainty of BRDF; 0: computed"),
+    ]  # fmt: skip
+    waves = len(data.wavelengths_nm)
+    table = np.column_stack(
+        [
+            np.repeat(data.angles_deg, waves, axis=0), np.tile(data.wavelengths_nm, len(data.angles_deg)),
+            data.values.ravel(), np.zeros(data.values.size),
+        ]
+    )  # fmt: skip
+    empty = {key: "not stated" for key in ("provenance", "system", "environment")}
+    metadata: dict[str, Any] = {
+        "id": str(uuid.uuid5(uuid.NAMESPACE_URL, comment)), "type": "BRDF", "name": Path(path).name,
+        "timestamp": datetime.now(UTC).isoformat(timespec="seconds"), **empty, "simulation": comment, "sample": name,
+        "comments": "azimuth differences of 0 are retroreflection, 180 degrees the mirror side",
+    }  # fmt: skip
+    rows = [[float(f"{v:.{ROUND_TRIP_DIGITS}g}") for v in row] for row in table]
+    described = [{"name": n, "type": "number", "unit": u, "description": d} for n, u, d in variables]
+    write_text(Path(path), json.dumps({"metadata": metadata, "data": {"variables": described, "values": rows}}))
+
+
+def write_speos(path: str | Path, data: GonioData, comment: str = "") -> None:
+    """Write a Speos complete scattering file (`.brdf`) as text: azimuth 0 is the mirror side.
+
+    Args:
+        data: a full grid at one light azimuth.
+
+    Raises:
+        UnsupportedError: the directions form no such grid.
+        NacreError: the file cannot be written.
+    """
+    sides = _sides(data)
+    incidence = np.unique(data.angles_deg[:, 0])
+    title = (comment.splitlines() or ["nacre"])[0]
+    lines = [SPEOS_HEAD, "0", title, str(len(title)), title]
+    lines += [f"{int('brdf' in sides)}\t{int('btdf' in sides)}", "1", f"{len(incidence)}\t{len(data.wavelengths_nm)}"]
+    lines += [_row(incidence), _row(data.wavelengths_nm)]
+    for theta, phi, values in sides.values():
+        for i in range(len(incidence)):
+            for k in range(len(data.wavelengths_nm)):
+                table = values[i, ..., k]
+                lines.append(f"{100 * hemispherical_share(theta, phi, table):.{ROUND_TRIP_DIGITS}g}")
+                lines += [f"{len(theta)}\t{len(phi)}", _row(phi)]
+                lines += [_row(np.concatenate([[t], row])) for t, row in zip(theta, table, strict=True)]
+    write_text(Path(path), "\n".join(lines) + "\n")
+
+
+def _row(values: Array) -> str:
+    return "\t".join(f"{v:.{ROUND_TRIP_DIGITS}g}" for v in values)
+
+
+def _sides(data: GonioData) -> dict[str, tuple[Array, Array, Array]]:
+    """Return theta, azimuth (0: mirror side, closed at 360) and values `[incidence, theta, azimuth, wavelength]`."""
+    theta_i, phi_i, theta_o, phi_o = np.round(data.angles_deg, 6).T
+    if len(np.unique(phi_i)) > 1:
+        raise UnsupportedError("a Speos .brdf file holds one azimuth of the light")
+    incidence, turn = np.unique(theta_i), (phi_o - phi_i + 180.0) % 360.0
+    azimuth = np.unique(turn)
+    found = {}
+    for name, chosen in (("brdf", theta_o <= 90), ("btdf", theta_o > 90)):
+        if not np.any(chosen):
+            continue
+        theta = np.unique(theta_o[chosen])
+        shape = (len(incidence), len(theta), len(azimuth), len(data.wavelengths_nm))
+        values = np.full(shape, np.nan)
+        at = (theta_i[chosen], theta_o[chosen], turn[chosen])
+        place = tuple(np.searchsorted(a, x) for a, x in zip((incidence, theta, azimuth), at, strict=True))
+        values[place] = data.values[chosen]
+        if np.isnan(values).any():
+            raise UnsupportedError("a Speos .brdf file needs a full grid of directions")
+        found[name] = (
+            theta,
+            np.append(azimuth, azimuth[0] + 360.0),
+            np.concatenate([values, values[:, :, :1]], axis=2),
+        )
+    return found

@@ -50,7 +50,7 @@ from nacre.material.examples import resolve_recipe_path
 from nacre.material.parametrise import Parametrisation
 from nacre.material.spatial_variation import Varying
 from nacre.matter.indices.library import lone_axes
-from nacre.measure.spectrum import bsdf_spectrum
+from nacre.measure.evaluate import bsdf_spectrum
 from nacre.recipe.fingerprint import file_digest, fingerprint
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
 from nacre.recipe.named_numbers import named_numbers, refuse_new_number

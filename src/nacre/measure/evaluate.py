@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import functools
 import logging
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from nacre.bsdf import Bsdf, Lobe
+from nacre.bsdf.bsdf import Spectrum
+from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.texture import refuse_place
-from nacre.core.arrays import Array, floats
+from nacre.core.arrays import Array, direction, floats
 from nacre.core.errors import UnsupportedError
 from nacre.core.memory import check_memory
 
@@ -157,3 +160,206 @@ def _walks() -> Any:
     except ImportError as error:
         raise UnsupportedError(f"a pearl is evaluated by a random walk that needs mitsuba ({error})") from None
     return arrays
+
+
+# Total reflectance and transmittance of a Bsdf.
+
+
+def directional_hemispherical(bsdf: Bsdf, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
+    """Return the power that leaves on the side of `wi` and on the other side, delta parts included.
+
+    By reciprocity their sum is the surface's brightness in a white furnace, seen from `wi`.
+
+    Args:
+        wi: `[..., 3]`, unit vectors towards the light.
+        nodes: of the quadrature, per coordinate.
+
+    Returns:
+        `(reflected, transmitted)`, each `[..., wavelength]`.
+    """
+    wi = np.asarray(wi, dtype=float)
+    flat = wi.reshape(-1, 3)
+    back, through = [], []
+    for w in flat:
+        delta = bsdf.specular(float(np.arccos(np.clip(w[2], -1.0, 1.0))), uv, float(np.arctan2(w[1], w[0])))
+        sums = [hemispherical(lobe, w, uv, nodes) for lobe in bsdf.lobes if not lobe.is_delta]
+        back.append(delta.reflectance + sum(s[0] for s in sums))
+        through.append(delta.transmittance + sum(s[1] for s in sums))
+    shape = (*wi.shape[:-1], len(bsdf.wavelengths_nm))
+    return np.reshape(back, shape), np.reshape(through, shape)
+
+
+def bsdf_spectrum(
+    bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: int = 0, *, diffuse: bool = True, nodes: int = 64
+) -> Spectrum:
+    """Return the spectra of a Bsdf: delta parts (rough films: of the smooth stack) and integrated diffuse parts.
+
+    A base under a rough film has its values under the smooth film, for consistency. Light is incident in the plane
+    y = 0.
+
+    Args:
+        theta_rad: `[angle]`, in the ambient.
+        seed: of random walks; another seed gives independent noise.
+        diffuse: whether diffuse parts are computed, by integration over all exit directions.
+        nodes: of the quadrature, per coordinate; a random walk uses `nodes`^2 paths.
+    """
+    theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
+    warn_of_table(bsdf, theta)
+    delta = bsdf.specular(theta, uv)
+    reflected, transmitted = delta.reflectance, delta.transmittance
+    rest: list[Lobe] = []
+    bases: list[Diffuse] = []
+    for lobe in bsdf.lobes:
+        if isinstance(lobe, Microfacet):
+            w = lobe.local_frame(direction(theta), uv)
+            more = lobe.smooth_powers(w, uv)
+            reflected, transmitted = reflected + more[0], transmitted + more[1]
+        elif isinstance(lobe, Diffuse) and lobe.under_smooth is not None:
+            bases.append(lobe)
+        elif not lobe.is_delta:
+            rest.append(lobe)
+    spread = None
+    if rest and diffuse:
+        # at exactly 90 degrees no light reaches the surface; slightly below, the integrals have their limit
+        directions = direction(np.minimum(theta, np.radians(89.99)))
+        sums = [[hemispherical(lobe, w, uv, nodes, seed) for lobe in rest] for w in directions]
+        spread = np.array([[sum(part[side] for part in parts) for parts in sums] for side in (0, 1)])
+    for base in bases if diffuse else ():
+        spread = np.zeros((2, *reflected.shape)) if spread is None else spread
+        spread[0] += base.smooth_albedo(np.cos(theta), uv)
+    # a random walk is no delta lobe, but has mirror reflection at smooth interfaces
+    has_delta = len(rest) < len(bsdf.lobes) or bool(np.any(reflected > 0))
+    return Spectrum(
+        bsdf.wavelengths_nm,
+        np.degrees(theta),
+        reflected if has_delta else None,
+        transmitted if has_delta and bool(np.any(transmitted > 0)) else None,
+        None if spread is None else spread[0],
+        spread[1] if spread is not None and any(lobe.transmits for lobe in rest) else None,
+    )
+
+
+# Quantities of Mueller matrices: ellipsometric angles, circular dichroism and selective reflection.
+
+LEAST_POWER = 1e-12
+CROSSED_POSITIONS = 180
+MOST_RETARDANCE_NM, RETARDER_ERROR = 20_000.0, 0.1  # the error: of cos(2 pi retardance / wavelength), root mean square
+LEAST_DISSYMMETRY = 0.05  # of a selective reflection, at its peak
+
+
+@dataclass(frozen=True)
+class CircularReflection:
+    """Reflection of circular light, each `[..., wavelength]`.
+
+    Attributes:
+        right, left: reflectance of right and left circular light.
+        dissymmetry: g = 2 (right - left) / (right + left), from -2 to 2; 0 where nothing is reflected.
+        kept: share of the reflected light of the stronger hand that keeps its hand, as a cholesteric does; a mirror
+            reverses it.
+    """
+
+    right: Array
+    left: Array
+    dissymmetry: Array
+    kept: Array
+
+
+@dataclass(frozen=True)
+class SelectiveBand:
+    """The band in which one hand is reflected.
+
+    Attributes:
+        hand: "right" or "left".
+        peak_nm: wavelength of the largest difference.
+        low_nm, high_nm: where the difference is half of the largest.
+        reflectance: of that hand at the peak.
+        other_reflectance: of the other hand at the peak.
+        dissymmetry: |g| at the peak.
+    """
+
+    hand: str
+    peak_nm: float
+    low_nm: float
+    high_nm: float
+    reflectance: float
+    other_reflectance: float
+    dissymmetry: float
+
+
+def ellipsometric_angles(mueller: Array) -> tuple[Array, Array]:
+    """Return Psi in [0, 90] and Delta in [0, 360) degrees of Mueller matrices `[..., 4, 4]`, as instruments print them.
+
+    Delta counts for fields exp(+i w t). Of a matrix that mixes s and p they are those of its N, C and S.
+    """
+    n, c, s = -mueller[..., 0, 1], mueller[..., 2, 2], mueller[..., 2, 3]
+    psi = 0.5 * np.degrees(np.arctan2(np.hypot(c, s), n))
+    return psi, np.mod(np.degrees(np.arctan2(s, c)), 360.0)
+
+
+def circular_reflection(mueller: Array) -> CircularReflection:
+    """Return the reflection of circular light by matrices `[..., wavelength, 4, 4]`."""
+    right = mueller[..., 0, 0] + mueller[..., 0, 3]
+    left = mueller[..., 0, 0] - mueller[..., 0, 3]
+    total = right + left
+    is_lit = total > LEAST_POWER
+    dissymmetry = np.where(is_lit, 2.0 * (right - left) / np.where(is_lit, total, 1.0), 0.0)
+    sign = np.where(right >= left, 1.0, -1.0)
+    stronger = np.maximum(right, left)
+    same = 0.5 * (stronger + sign * (mueller[..., 3, 0] + sign * mueller[..., 3, 3]))
+    kept = np.where(stronger > LEAST_POWER, same / np.where(stronger > LEAST_POWER, stronger, 1.0), 0.0)
+    return CircularReflection(right, left, dissymmetry, kept)
+
+
+def selective_band(reflection: CircularReflection, wavelengths_nm: Array) -> SelectiveBand | None:
+    """Return the band of the largest difference between the hands `[wavelength]`; None if |g| stays small."""
+    difference = reflection.right - reflection.left
+    at = int(np.argmax(np.abs(difference)))
+    if abs(reflection.dissymmetry[at]) < LEAST_DISSYMMETRY:
+        return None
+    hand = "right" if difference[at] > 0 else "left"
+    size = np.abs(difference) * (np.sign(difference) == np.sign(difference[at]))
+    half = size >= 0.5 * size[at]
+    first = at - int(np.argmin(np.append(half[at::-1], False))) + 1
+    last = at + int(np.argmin(np.append(half[at:], False))) - 1
+    own, other = (reflection.right, reflection.left) if hand == "right" else (reflection.left, reflection.right)
+    return SelectiveBand(
+        hand, float(wavelengths_nm[at]), float(wavelengths_nm[first]), float(wavelengths_nm[last]), float(own[at]),
+        float(other[at]), float(abs(reflection.dissymmetry[at])),
+    )  # fmt: skip
+
+
+def crossed_polarisers(matrices: Array) -> Array:
+    """Return the transmittance `[wavelength]` between crossed polarisers, turned to the brightest position.
+
+    The first polariser has passed its light already: a half-wave plate transmits 1.
+
+    Args:
+        matrices: `[wavelength, 4, 4]`.
+    """
+    azimuths = np.linspace(0.0, np.pi, CROSSED_POSITIONS, endpoint=False)
+    axes = np.stack([np.ones_like(azimuths), np.cos(azimuths), np.sin(azimuths), 0.0 * azimuths], axis=-1)
+    crossed = axes * np.array([1.0, -1.0, -1.0, 1.0])
+    passed = 0.5 * np.einsum("ai,lij,aj->al", crossed, matrices, axes)
+    found: Array = np.clip(passed[np.argmax(passed.mean(axis=1))], 0.0, None)
+    return found
+
+
+def retardance_nm(matrices: Array, wavelengths_nm: Array) -> float | None:
+    """Return the path difference of a linear retarder that explains its matrices best; None for other elements.
+
+    cos(2 pi retardance / wavelength) follows from the trace of a retarder's matrix at each wavelength; together the
+    wavelengths decide the order of interference.
+
+    Args:
+        matrices: `[wavelength, 4, 4]`, on ten or more wavelengths.
+        wavelengths_nm: `[wavelength]`.
+    """
+    power = matrices[:, 0, 0]
+    if len(power) < 10 or np.any(power <= LEAST_POWER):
+        return None
+    relative = matrices / power[:, None, None]
+    cos = 0.5 * (np.trace(relative, axis1=1, axis2=2) - 2.0)
+    trial = np.arange(0.0, MOST_RETARDANCE_NM, 1.0)
+    errors = np.mean((np.cos(2.0 * np.pi * trial[:, None] / wavelengths_nm) - cos) ** 2, axis=1)
+    best = int(np.argmin(errors))
+    return float(trial[best]) if errors[best] < RETARDER_ERROR**2 else None

@@ -1,7 +1,7 @@
 """Texture of effect coatings: sparkle under a small lamp at 15, 45 and 75 degrees, and graininess under diffuse light.
 
 The flakes of the recipe (size, slope, number, depth, and what lies above them) give both, from their statistics
-(`nacre.measure.sparkle`, `nacre.measure.graininess`) or from drawn patches as the camera sees them. The mean luminance
+(`nacre.measure.sparkle`, `nacre.measure.sparkle`) or from drawn patches as the camera sees them. The mean luminance
 is that of the material's noise-free surrogate (doubling method) if its error is known, else that of its Bsdf.
 Instruments of the market map such quantities to scales that are not public: without measured pairs the scale is
 relative. `calibration` holds such pairs. `TextureQuantity` stands for one number of a design or a fit.
@@ -27,8 +27,18 @@ from nacre.families.contract import Mixed, Model, ResolvedFlakes, SingleFlakes, 
 from nacre.light import smooth_weights
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
 from nacre.measure.geometry import Geometry
-from nacre.measure.graininess import TILES, DiffuseArea, Graininess, graininess_patch, graininess_statistics
-from nacre.measure.sparkle import Area, Pixels, Sparkle, sparkle_patch, sparkle_statistics
+from nacre.measure.sparkle import (
+    TILES,
+    Area,
+    DiffuseArea,
+    Graininess,
+    Pixels,
+    Sparkle,
+    graininess_patch,
+    graininess_statistics,
+    sparkle_patch,
+    sparkle_statistics,
+)
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
 from nacre.recipe.toml import parse_toml
 

@@ -39,7 +39,7 @@ from nacre.measure.colours import recipe_geometries
 from nacre.measure.geometry import Geometry
 from nacre.optimise.evaluation import lab_hex
 from nacre.optimise.measurement import check_answers, search_wavelengths, simulate_measurement
-from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
+from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, refuse_ties, values_at
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import check_light
 from nacre.optimise.task import DesignTask
@@ -188,6 +188,7 @@ def find_gamut(
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
     material = material.at_low_fidelity().with_parts_loaded(table)
     free = read_parameters(dict(table), material, source)
+    refuse_ties(material, free, source)
     if not free:
         raise RecipeError(f"{source}: nothing is free; use --parameter PATH=LOW:HIGH")
     at = applicable_geometry([material, *_variants(material, free)], geometry, f"{source}: geometry")

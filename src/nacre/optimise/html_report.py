@@ -25,7 +25,7 @@ from nacre.optimise.parameters import is_chosen
 from nacre.optimise.solutions import Solution
 from nacre.optimise.task import DesignTask
 from nacre.optimise.yield_analysis import COLOUR, RMS, TEXTURE, effect_unit
-from nacre.plot.html import DPI, data_uri
+from nacre.plot.style import DPI, data_uri
 from nacre.recipe.paths import numbers_of
 
 if TYPE_CHECKING:

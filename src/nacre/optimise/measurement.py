@@ -15,9 +15,8 @@ from nacre.families.contract import search_model, surrogate_radiance, values_at
 from nacre.light import default_wavelengths, lamp_lines_nm, spans_colour, with_lamp_lines
 from nacre.material.material import Material
 from nacre.measure.colours import WALK_NM
-from nacre.measure.evaluate import evaluate_with_error
+from nacre.measure.evaluate import bsdf_spectrum, evaluate_with_error
 from nacre.measure.geometry import Geometry, aspecular_pairs, spectrum_at
-from nacre.measure.spectrum import bsdf_spectrum
 from nacre.measure.texture import TextureQuantity, check_texture, texture_values
 
 EVALUATION_STEP_NM = 1.0

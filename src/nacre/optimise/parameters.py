@@ -182,6 +182,21 @@ def _recipe_value(material: Material, path: str) -> Any:
         return None
 
 
+def refuse_ties(material: Material, parameters: Sequence[Parameter], source: str) -> None:
+    """Refuse `[ties]` that a parameter moves, since only fits, tolerances, diagnoses, sweeps and `--set` compute them.
+
+    Raises:
+        RecipeError: naming the tie.
+    """
+    for path, text in by_path(material.data.get("ties", {}), set(), source, "ties").items():
+        for each in parameters:
+            if each.path == path or each.path in str(text):
+                raise RecipeError(
+                    f'{source}: ties.{path} = "{text}" depends on the parameter {each.path} and is not computed here; '
+                    f"remove the tie, or the parameter"
+                )
+
+
 def nominal_point(parameters: Sequence[Parameter], material: Material) -> Array | None:
     """Return the recipe's own values as a unit cube point; None if one lies outside its bounds."""
     return point_of(parameters, {p.path: _recipe_value(material, p.path) for p in parameters})

@@ -9,7 +9,7 @@ import pydantic
 
 from nacre.measure.texture import QUANTITY_NAMES, Instrument
 from nacre.optimise.relief.target import TargetTable
-from nacre.readers.file_spec import FileSpec
+from nacre.readers.curves import FileSpec
 from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeModel
 from nacre.recipe.path_tables import GeometrySpec, ParameterSpec, ToleranceSpec
@@ -221,7 +221,10 @@ class SearchSpec(RecipeModel):
         "and evaluations give the same result on any machine unless `seconds` ends the search first",
         examples=[2000],
     )
-    seconds: Positive = pydantic.Field(default=60.0, description="time limit of the whole command")
+    seconds: Positive = pydantic.Field(
+        default=60.0,
+        description="time limit of the whole command; of a picture, if given, of the refinement of its palette",
+    )
     solutions: Annotated[int, pydantic.Field(ge=1, le=100)] = pydantic.Field(
         default=5, description="largest number of solutions"
     )

@@ -28,8 +28,7 @@ from nacre.measure.texture import Instrument, TextureQuantity, read_instrument
 from nacre.optimise.image.files import read_picture
 from nacre.optimise.merit import MeritFunction, Operand
 from nacre.optimise.spec import COLOURS, RANGES, LightSpec, TargetEntry
-from nacre.readers.curves import recipe_spectrum
-from nacre.readers.file_spec import FileSpec
+from nacre.readers.curves import FileSpec, recipe_spectrum
 from nacre.recipe.model import RecipeContext, show_value
 
 GAP_STEPS = 3.0  # times a table's usual step: wider apart, two rows leave out what lies between them

@@ -14,12 +14,19 @@ from nacre.bsdf import Bsdf
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import plain, why_unreadable
-from nacre.device.texture import ObjectFrame
+from nacre.device.tables import ObjectFrame
 from nacre.picture.camera import Framing, View
-from nacre.picture.infinite_backdrop import infinite_backdrop
-from nacre.picture.lights.named import Light
+from nacre.picture.lights.emitter_plugins import Light
 from nacre.picture.plugin import mi
-from nacre.picture.scenes.catalogue import SUBJECT, Part, Parts, Scene, backdrop_parts, plain_material
+from nacre.picture.scenes.catalogue import (
+    SUBJECT,
+    Part,
+    Parts,
+    Scene,
+    backdrop_parts,
+    infinite_backdrop,
+    plain_material,
+)
 from nacre.picture.shapes.mesh import Mesh, bounding_ball, rotation
 
 SEE_THROUGH_DEPTH = 16

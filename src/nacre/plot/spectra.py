@@ -15,7 +15,7 @@ from nacre import light
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.measure.polarisation import circular_reflection, crossed_polarisers, ellipsometric_angles, retardance_nm
+from nacre.measure.evaluate import circular_reflection, crossed_polarisers, ellipsometric_angles, retardance_nm
 from nacre.plot import style
 
 if TYPE_CHECKING:

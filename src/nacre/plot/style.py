@@ -5,6 +5,7 @@ Figures are created without pyplot, therefore drawing changes no global state an
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -22,9 +23,11 @@ from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path
+from nacre.core.html import png_uri
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 COLUMN_IN = 3.46  # 88 mm, a journal's column
@@ -177,3 +180,18 @@ def need(data: Mapping[str, Any], kind: str, *names: str) -> list[Array]:
             raise NacreError(f"figure {kind}: {name} is empty or holds a value that is not finite")
         arrays.append(array)
     return arrays
+
+
+# Figures as data URIs for HTML pages.
+
+DPI = 170
+
+
+def data_uri(figure: Figure, dpi: int) -> str:
+    """Return a figure as a PNG data URI."""
+    pass  # imports matplotlib
+
+    stream = io.BytesIO()
+    with house_style():
+        figure.savefig(stream, format="png", dpi=dpi)
+    return png_uri(stream.getvalue())

@@ -1,4 +1,4 @@
-"""Readers for instrument files and other programs: one module per format, found by content.
+"""Readers for instrument files and other programs: recognised by content.
 
 `open_file` in `registry` is the front door: it recognises a format by its content and returns one `Measurement` per
 spectrum, map, material or colour list of the file.

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+import pydantic
 
 from nacre.core.errors import NacreError
 from nacre.light import spans_colour
 from nacre.readers.columns import Column, Columns, interpret, load_tables
-from nacre.readers.file_spec import FileSpec
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import open_file
 from nacre.readers.text_table import TextTable, number
 from nacre.readers.units import UNITS, Floats, parse_unit
+from nacre.recipe.model import RecipeModel, show_value
 
 if TYPE_CHECKING:
     from nacre.recipe.model import RecipeContext
+
 
 logger = logging.getLogger("nacre")
 _AXES = ("wavelength_nm", "angle_of_incidence_deg")
@@ -213,3 +215,43 @@ def _after(path: Path, error: NacreError) -> str:
 def _log(context: RecipeContext, name: str, said: Sequence[str]) -> None:
     if said:
         logger.warning("%s: %s: %s", context.source, name, "; ".join(said))
+
+
+# A file of measured data in a recipe or target: its name, or a table that also says what the file does not state.
+
+
+class FileSpec(RecipeModel):
+    """A file of measured data, by its name or with the statements that it lacks."""
+
+    noun: ClassVar[str] = "measured file"
+    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"type": "string"},)
+
+    file: str = pydantic.Field(description="the file, beside the recipe", examples=["data.csv"])
+    columns: tuple[str, ...] = pydantic.Field(
+        default=(),
+        description='what its columns are, one name each, where no heading says it; "-" leaves one out',
+        examples=[["wavelength_nm", "reflectance"]],
+    )
+    ignore: tuple[str, ...] = pydantic.Field(
+        default=(), description="headings of columns that are left out", examples=[["batch"]]
+    )
+    unit: str | None = pydantic.Field(
+        default=None, description="unit of its wavelengths or energies, if it names none", examples=["um"]
+    )
+    spectrum: str | None = pydantic.Field(
+        default=None, description="name or number of one of its spectra", examples=["red"]
+    )
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _accept_name(cls, data: Any) -> Any:
+        if isinstance(data, str) and cls.shorthands:
+            return {"file": data}
+        if not isinstance(data, Mapping | FileSpec):
+            raise ValueError(f'= {show_value(data)} is no file; write "data.csv" or {{file = "data.csv", ...}}')
+        return data
+
+    @property
+    def options(self) -> ReadOptions:
+        """The statements for the reader."""
+        return ReadOptions(columns=self.columns, ignore=self.ignore, unit=self.unit, spectrum=self.spectrum)

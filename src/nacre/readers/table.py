@@ -18,12 +18,11 @@ from nacre.readers.columns import (
     sorted_by_wavelength,
     tables_of,
 )
-from nacre.readers.constants.convert import QUANTITIES as CONSTANTS
-from nacre.readers.constants.convert import constants
+from nacre.readers.constants import QUANTITIES as CONSTANTS
+from nacre.readers.constants import constants
 from nacre.readers.ellipsometry.common import ellipsometry
-from nacre.readers.headings import SPECTRAL_QUANTITIES, degrees, meanings
+from nacre.readers.headings import SPECTRAL_QUANTITIES, degrees, light_above, meanings, read_preamble
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
-from nacre.readers.preamble import light_above, read_preamble
 from nacre.readers.registry import POSSIBLE, FileHead
 from nacre.readers.spectra.tables import of_samples
 from nacre.readers.text_table import TextTable, decode

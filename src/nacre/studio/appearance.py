@@ -1,10 +1,12 @@
 """Material appearance for the page: colours over the angle, spectra, colours under lamps; packed as bytes.
 
 The preview draws a mirror-like part (R over the angle in the studio's light), a glossy part (the lobe about the
-mirror direction, `nacre.measure.gloss`) and a diffuse part: the remaining light, as a matt surface with the same
+mirror direction, `nacre.measure.colours`) and a diffuse part: the remaining light, as a matt surface with the same
 reflectance at the view angle (reciprocity allows this). Layered films are solved at once. Other materials are first
 drafted with few angles and wavelengths, at a quality adapted to the machine.
 """
+
+from __future__ import annotations
 
 import dataclasses
 import functools
@@ -22,19 +24,34 @@ from nacre import light
 from nacre.bsdf import Bsdf
 from nacre.bsdf.facet_distributions import Roughness
 from nacre.bsdf.lobes.microfacet import Microfacet
-from nacre.bsdf.texture import refuse_place
+from nacre.bsdf.texture import Texture, refuse_place
+from nacre.bsdf.texture_spec import TextureSpec
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError
+from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families import contract
-from nacre.formats.lobes import is_isotropic
-from nacre.formats.lut.table import lobe_directions, lobe_weight
-from nacre.material.material import Material
+from nacre.families.contract import Surrogate
+from nacre.formats.bsdf_tables import is_isotropic
+from nacre.formats.lut import lobe_directions, lobe_weight
+from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
+from nacre.material.material import Material, material_from_data
 from nacre.matter.drawings import DrawingRequest, HeightMap
 from nacre.matter.indices.constant import OpticalConstant
-from nacre.measure.gloss import Gloss, find_gloss
-from nacre.measure.spectrum import bsdf_spectrum
-from nacre.studio.graded import Grades, grades_of, is_undrawn
-from nacre.studio.incidence import UNPOLARISED, Incidence, mixes_polarisations, spectrum_from
+from nacre.measure.colours import Gloss, find_gloss, geometry_colours, recipe_geometries
+from nacre.measure.evaluate import bsdf_spectrum
+from nacre.measure.geometry import ASPECULAR_DEG, Geometry
+from nacre.measure.texture import ANGLES_DEG as TEXTURE_ANGLES_DEG
+from nacre.measure.texture import (
+    QUANTITY_NAMES,
+    RELATIVE,
+    TextureQuantity,
+    measure_texture,
+    texture_document,
+    texture_values,
+)
+from nacre.optimise.evaluation import lab_hex
+from nacre.optimise.measurement import missing_geometries, search_wavelengths, surrogate_factors
+from nacre.recipe.model import validate
+from nacre.studio.folder import UNPOLARISED, Incidence, built, mixes_polarisations, spectrum_from
 from nacre.studio.subprocess_jobs import SupersededError
 
 LAMPS = ("D65", "A", "F11")
@@ -135,7 +152,7 @@ class Appearance:
         notes: sentences about approximations.
         grades: for a material that varies over the surface, its colours at the nodes `tables`
             `[part, node of the second range, node of the first, angle, 3]` (parts: mirror-like, glossy, diffuse,
-            transmitted) and the `map` of the surface, see `nacre.studio.graded`.
+            transmitted) and the `map` of the surface, see `nacre.studio.appearance`.
         incidence: light azimuth, and polarisation of the chart's spectra; None for a material without such
             choice.
         polarised: `[shown angle, wavelength]`, reflectance of polarised light, if that is selected.
@@ -541,3 +558,172 @@ def _lobe_values(material: Material, bsdf: Bsdf | None, wi: Array, wo: Array) ->
         return (scattering.evaluate(wi, wo) if is_isotropic(scattering) else None), bsdf.wavelengths_nm
     found = contract.surrogate_radiance(material.model, wi, wo, LOBE_NM)
     return None if found is None else found[0] + found[1], LOBE_NM
+
+
+# Numbers that vary over the surface, for the preview: a map, and the material at nodes of their ranges.
+
+MAP_SIZE = 256  # texels along each side of the map
+NODES = {(True, 1): (48,), (True, 2): (24, 6), (False, 1): (5,), (False, 2): (3, 3)}  # by speed and count of ranges
+DRAWN = ("thickness_nm", "thickness_um", "thickness_mm", "mask")  # rotations change no colour of a table
+MAX_VARYING = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Grades:
+    """A material that varies over the surface.
+
+    Attributes:
+        place: `[row, column, 2]`, bottom row (v = 0) first: positions in the two ranges, from 0 to 1.
+        is_stepped: the map is not interpolated.
+        materials: uniform materials, the first range fastest.
+        shape: numbers of nodes along both ranges.
+    """
+
+    place: Array
+    is_stepped: bool
+    materials: list[Material]
+    shape: tuple[int, int]
+
+
+def grades_of(material: Material) -> Grades | None:
+    """Return a material's grades; None for a uniform one, or if more than two numbers vary."""
+    found = list(_textures(material.data, ()))
+    if not 1 <= len(found) <= MAX_VARYING:
+        return None
+    axis = (np.arange(MAP_SIZE) + 0.5) / MAP_SIZE
+    uv = np.stack(np.meshgrid(axis, axis), axis=-1)
+    counts = NODES[material.model.traits.is_quick, len(found)]
+    place, values, stepped = np.zeros((MAP_SIZE, MAP_SIZE, 2)), [], False
+    for i, (path, table) in enumerate(found):
+        texture = _built(material, table, path)
+        if texture is None:
+            return None
+        over = texture(uv)
+        low, high = float(over.min()), float(over.max())
+        if high > low:
+            place[..., i] = (over - low) / (high - low)
+        stepped |= texture.is_stepped
+        values.append(np.linspace(low, high, counts[i]))
+    first, second = values[0], values[1] if len(values) == MAX_VARYING else [None]
+    materials = [
+        material_from_data(
+            _with(_with(material.data, found[0][0], float(a)), found[-1][0], float(a if b is None else b)),
+            material.context,
+        )
+        for b in second
+        for a in first
+    ]
+    return Grades(place, stepped, materials, (len(first), len(second)))
+
+
+def is_undrawn(data: Any) -> bool:
+    """Whether a quantity varies over the surface but not in the preview."""
+    return any(True for _ in _textures(data, (), of_colour=False)) or len(list(_textures(data, ()))) > MAX_VARYING
+
+
+def _textures(data: Any, path: tuple[Any, ...], of_colour: bool = True) -> Iterator[tuple[tuple[Any, ...], Any]]:
+    """Yield the paths and tables of varying numbers."""
+    if isinstance(data, Mapping):
+        if "formula" in data or "texture" in data:
+            if (path[-1] in DRAWN) == of_colour:
+                yield path, data
+            return
+        for key, value in data.items():
+            yield from _textures(value, (*path, key), of_colour)
+    elif isinstance(data, list):
+        for i, value in enumerate(data):
+            yield from _textures(value, (*path, i), of_colour)
+
+
+def _built(material: Material, table: Mapping[str, Any], path: tuple[Any, ...]) -> Texture | None:
+    try:
+        texture = validate(TextureSpec, table, material.context).build(material.context, ".".join(map(str, path)))
+        refuse_place(texture)
+        return texture
+    except NacreError:
+        return None
+
+
+def _with(data: Any, path: tuple[Any, ...], value: float) -> Any:
+    if not path:
+        return value
+    if isinstance(data, Mapping):
+        return {**data, path[0]: _with(data[path[0]], path[1:], value)}
+    return [_with(part, path[1:], value) if i == path[0] else part for i, part in enumerate(data)]
+
+
+# Colours at the geometries of multi-angle instruments, and texture, for the page's panel that follows the recipe.
+
+OBSERVER = "10deg"
+ACROSS = ("45as25az90", "45as25az-90", "45as60az125.3", "45as60az-125.3")  # out of the plane of incidence
+SLOW = "is measured by the report below, not while the recipe changes"
+MIRROR = "reflects into the mirror direction only: see the colour over angle above"
+
+
+def angle_tables(recipe: Mapping[str, str], lamp: str, is_fine: bool) -> dict[str, Any]:
+    """Return `colours` at each geometry and `texture` as JSON data, without random walks.
+
+    Args:
+        recipe: from `read_recipe`.
+        lamp: illuminant.
+        is_fine: texture as in a report, with standard errors (0.5 to 2 CPU s), or in the accuracy of a search.
+
+    Raises:
+        NacreError: the recipe cannot be computed.
+    """
+    material = built(recipe)
+    named = {str(at): at for at in (Geometry("aspecular", 45.0, angle) for angle in ASPECULAR_DEG)}
+    named |= {text: Geometry.read(text, "geometry") for text in ACROSS}
+    named |= {name: at for name, at in recipe_geometries(material).items() if at.kind == "aspecular"}
+    try:
+        labs = _colours(material, list(named.values()), lamp)
+    except UnsupportedError as error:
+        return {"colours": [], "texture": {"reason": str(error)}}
+    white = white_xyz(lamp, OBSERVER)
+    rows = [
+        {"geometry": name, "lab": lab.tolist(), "srgb": lab_hex(lab, white)}
+        for name, lab in zip(named, labs, strict=True)
+    ]
+    return {"colours": rows, "texture": _texture(material, lamp, is_fine)}
+
+
+def _colours(material: Material, geometries: list[Geometry], lamp: str) -> Array:
+    grid, model = search_wavelengths(material, [lamp]), material.model
+    is_quick = model.traits.is_quick and not mixes_polarisations(material)  # whose tables over angle take seconds
+    found = None if is_quick else surrogate_factors(material, geometries, grid)
+    is_known = isinstance(model, Surrogate) and model.surrogate_error is not None
+    if found is not None and (is_known or not np.any(found[1])):  # exact, or with a small error
+        xyz = spectrum_to_xyz(found[0] + found[1], grid, lamp, OBSERVER)
+        return np.asarray(xyz_to_lab(xyz, white_xyz(lamp, OBSERVER)))
+    if not is_quick:
+        raise UnsupportedError(f"This {model.traits.noun} {SLOW}.")
+    if len(missing_geometries(material, geometries)) == len(set(geometries)):
+        raise UnsupportedError(f"This {model.traits.noun} {MIRROR}.")
+    return geometry_colours(material, geometries, lamp, OBSERVER)
+
+
+def _texture(material: Material, lamp: str, is_fine: bool) -> dict[str, Any]:
+    """Return rows of sparkle and graininess, or the reason why there are none."""
+    asked = [TextureQuantity.named(name, "texture", light=(lamp, OBSERVER)) for name in QUANTITY_NAMES]
+    pairs: list[list[Any]]
+    try:
+        if is_fine:
+            document = texture_document(measure_texture(material, None, "statistics", lamp, OBSERVER))
+            pairs = [_pair(document, each) for each in asked]
+        else:
+            pairs = [[float(value), None] for value in texture_values(material, asked, 0, "search")[0]]
+    except UnsupportedError as error:
+        return {"reason": str(error)}
+    return {
+        "scale": RELATIVE,
+        "angles_deg": list(TEXTURE_ANGLES_DEG),
+        "values": dict(zip(QUANTITY_NAMES, pairs, strict=True)),
+    }
+
+
+def _pair(document: Mapping[str, Any], quantity: TextureQuantity) -> list[float]:
+    """Return a quantity and its standard error."""
+    if quantity.kind == "graininess":
+        return [document["graininess"]["value"], document["graininess"]["error"]]
+    name, one = "grade" if quantity.kind == "sparkle" else quantity.kind, document["sparkle"][f"{quantity.theta_deg:g}"]
+    return [one[name], one[f"{name}_error"]]

@@ -22,8 +22,7 @@ from nacre.analysis.lut import make_table, over_azimuth
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import atomic_path
-from nacre.formats.lut.table import LightTable, angle_coordinate
-from nacre.formats.lut.write import template, write_table
+from nacre.formats.lut import LightTable, angle_coordinate, template, write_table
 from nacre.light import clip_to_srgb, srgb_encode
 from nacre.material.examples import examples, resolve_recipe_path
 from nacre.material.material import Material, load

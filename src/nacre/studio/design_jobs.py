@@ -23,7 +23,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.families.contract import is_direct
 from nacre.material.material import Material
-from nacre.measure.spectrum import bsdf_spectrum
+from nacre.measure.evaluate import bsdf_spectrum
 from nacre.optimise.evaluation import TargetResult, evaluate, geometries_of, lab_hex, nearest_in_ranges, results_of
 from nacre.optimise.gamut import find_gamut, optimal_limits, srgb_limits
 from nacre.optimise.measurement import search_wavelengths, simulate_measurement
@@ -38,8 +38,7 @@ from nacre.optimise.tolerances import draw
 from nacre.recipe.paths import find_by_path
 from nacre.recipe.toml import dump_toml, parse_toml
 from nacre.studio.edit import edited
-from nacre.studio.folder import OpenedFolder, built, read_lamp, read_number, read_recipe
-from nacre.studio.incidence import Incidence, spectrum_from
+from nacre.studio.folder import Incidence, OpenedFolder, built, read_lamp, read_number, read_recipe, spectrum_from
 from nacre.studio.subprocess_jobs import Emit
 
 if TYPE_CHECKING:

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 from nacre.core.errors import NacreError
 from nacre.families.contract import OwnFormats, fabrications
-from nacre.formats.export_formats import EXPORTS, FAMILY_FORMATS, FOLDERS, export_remarks
+from nacre.formats.bsdf_tables import EXPORTS, FAMILY_FORMATS, FOLDERS, export_remarks
 from nacre.formats.fabrication import SUFFIXES
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
 from nacre.material.material import Material
 from nacre.material.spatial_variation import number_maps
-from nacre.picture.polarisers import read_polariser
+from nacre.picture.lights.emitter_plugins import read_polariser
 from nacre.picture.scenes.catalogue import SCENE_NAMES
 from nacre.studio.folder import OpenedFolder, built, read_choice, read_lamp, read_number, read_recipe, shown
 from nacre.studio.objects import OBJECTS

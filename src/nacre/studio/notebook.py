@@ -15,7 +15,7 @@ from importlib.resources import files
 from typing import Any
 
 from nacre.core.errors import NacreError, did_you_mean
-from nacre.formats.lut.write import template
+from nacre.formats.lut import template
 from nacre.light import ILLUMINANTS
 from nacre.material.material import Material, MaterialLike, as_material
 from nacre.studio.appearance import appearances

@@ -23,7 +23,7 @@ from nacre.light import observer, table_wavelengths_nm, xyz_to_srgb_linear
 from nacre.picture.lights import environments
 from nacre.picture.lights.environments import WOOD, Environment, directions, studio, unit_spectrum
 from nacre.picture.scenes.catalogue import SWEEP
-from nacre.picture.shapes.backdrop import sweep_length
+from nacre.picture.shapes.mesh import sweep_length
 from nacre.recipe.fingerprint import fingerprint
 from nacre.studio.appearance import pack
 
@@ -355,7 +355,7 @@ def sky_radiance(name: str) -> Array:
     """
     if name not in SKIES:
         raise NacreError(f'"{name[:40]}" is not a sky; choose from {", ".join(SKIES)}')
-    from nacre.picture.lights.named import make_light
+    from nacre.picture.lights.emitter_plugins import make_light
 
     emitter = make_light(name).emitters["sky"]
     rows, columns = np.indices((ROWS, 2 * ROWS)).reshape(2, -1)

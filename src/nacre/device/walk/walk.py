@@ -23,8 +23,15 @@ import drjit as dr
 import mitsuba as mi
 
 from nacre.device.tables import Located
-from nacre.device.walk.exit_importance import Exit, exit_importance, inner_interfaces_scatter, rough_one
-from nacre.device.walk.interface import interface_event, interface_value, refract
+from nacre.device.walk.exit_importance import (
+    Exit,
+    exit_importance,
+    inner_interfaces_scatter,
+    interface_event,
+    interface_value,
+    refract,
+    rough_one,
+)
 from nacre.device.walk.strata import DENSITY, PER_AXES, BaseLobes, Strata
 
 MAX_EVENTS = 20_000  # limit per lane; the remaining light is below 1e-6

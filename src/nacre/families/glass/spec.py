@@ -17,8 +17,7 @@ from nacre.families.glass.composite import INDEX_NM, MAX_EXTINCTION, Composite, 
 from nacre.families.glass.material import FastGlass, Glass, Layer
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
-from nacre.readers.curves import Q_PER_UM, STRUCTURE, recipe_curve
-from nacre.readers.file_spec import FileSpec
+from nacre.readers.curves import Q_PER_UM, STRUCTURE, FileSpec, recipe_curve
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 MAX_PACKING = 0.64  # random packing of equal spheres

@@ -28,8 +28,7 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.core.parallel import in_threads
 from nacre.families.contract import DirectEvaluation, ExcessEnergy, ExpensiveMethod, Model, SearchFidelity, Traits
-from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings
-from nacre.families.metasurface.ensemble.interpolation import EnsembleInterpolation, interpolate_ensemble
+from nacre.families.metasurface.ensemble.ensemble import EnsembleInterpolation, EnsembleSettings, interpolate_ensemble
 from nacre.families.metasurface.monolayer.aligned import (
     NO_ENSEMBLE,
     AlignedLayer,
@@ -41,9 +40,9 @@ from nacre.families.metasurface.monolayer.aligned import (
 from nacre.families.metasurface.monolayer.arrangement import Arrangement, Pattern
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term, limit_to_incident_power
 from nacre.families.metasurface.monolayer.evaluation import choose_grids, direct_powers, direct_values, tabulate
-from nacre.families.metasurface.monolayer.ladder import check as check_ladder
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
 from nacre.families.metasurface.monolayer.qca import INTERACTION_ORDER
+from nacre.families.metasurface.monolayer.qca import check as check_ladder
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.species import (
     MultipoleConvergence,

@@ -20,8 +20,7 @@ from nacre.families.pearl.strata import Dye, Flakes, Stratum
 from nacre.families.pearl.thickness import Thickness
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
-from nacre.readers.curves import SHARE, THICKNESS_NM, recipe_curve
-from nacre.readers.file_spec import FileSpec
+from nacre.readers.curves import SHARE, THICKNESS_NM, FileSpec, recipe_curve
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 MAX_STRATA = 8

@@ -315,7 +315,7 @@ class IndexSpec(RecipeModel):
         return made.with_extrapolation(self.extrapolate)
 
     def _table(self, name: str, context: RecipeContext) -> Dispersion:
-        from nacre.readers.constants.programs import other_of_pair
+        from nacre.readers.constants import other_of_pair
 
         path = context.path(name)
         other = other_of_pair(path)

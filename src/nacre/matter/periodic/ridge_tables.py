@@ -10,15 +10,22 @@ import numpy as np
 
 from nacre.core.disk_cache import cache_arrays, cached_arrays
 from nacre.core.parallel import in_threads
-from nacre.matter.periodic.supercell import Fan, RidgeStatistics, drawn_ridges, reflected_fan
+from nacre.matter.periodic.supercell import (
+    RidgeStatistics,
+    array_factor,
+    drawn_ridges,
+    mean_array_factor,
+    reflected_fan,
+)
 from nacre.matter.periodic.types import Array
 
-VERSION = 1
+VERSION = 2
 ALONG = 0.0, 0.5, 0.85  # components along the ridges that are solved
 SINES = 41  # nodes in a and b
 STEP_NM = 20.0  # longest step of the solved wavelengths
 BEYOND = 0.05  # relative distance outside the solved range from which a solution loses weight
 KEPT = 192  # solutions held in memory
+LEAST_DRAWS = 6  # for a regression
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,8 @@ def solved_wavelengths(wavelengths_nm: Array) -> Array:
 def solved_case(case: RidgeCase, along: float) -> tuple[Array, Array]:
     """Return the mean over all draws, and each draw for light from b = 0; stored on disk.
 
+    The interference of the ridges is a control variate (`controlled`): its mean over all supercells is known.
+
     Args:
         along: component of the light direction along the ridges.
 
@@ -69,17 +78,38 @@ def solved_case(case: RidgeCase, along: float) -> tuple[Array, Array]:
     if stored is not None:
         return stored["mean"], stored["rows"]
 
-    def work(draw: int) -> Array:
-        fan = reflected_fan(
-            drawn_ridges(case.statistics, draw), np.array(case.layers_nm), np.array(case.layer_index), case.cover,
-            case.substrate, case.wavelength_nm, along,
-        )  # fmt: skip
-        return _on_nodes(fan, case, along)
+    wave = 2.0 * np.pi * case.cover / case.wavelength_nm
 
-    found = np.array(in_threads(work, range(case.draws)))
-    mean, rows = found.mean(axis=0), found[:, SINES // 2]
+    def work(draw: int) -> tuple[Array, Array, Array]:
+        cell = drawn_ridges(case.statistics, draw)
+        fan = reflected_fan(
+            cell, np.array(case.layers_nm), np.array(case.layer_index), case.cover, case.substrate,
+            case.wavelength_nm, along,
+        )  # fmt: skip
+        factor = array_factor(cell, fan.sines, along, wave)
+        return fan.sines, *(_on_nodes(each, fan.sines, case, along) for each in (fan.power, factor))
+
+    sines, found, factors = zip(*in_threads(work, range(case.draws)), strict=True)
+    expected = mean_array_factor(case.statistics, sines[0], along, wave)
+    each = controlled(np.array(found), np.array(factors), _on_nodes(expected, sines[0], case, along))
+    mean, rows = np.maximum(each.mean(axis=0), 0.0), each[:, SINES // 2]
     cache_arrays(key, {"mean": mean, "rows": rows})
     return mean, rows
+
+
+def controlled(found: Array, factors: Array, expected: Array) -> Array:
+    """Return draws `[draw, ...]` less what their control variate explains, by linear regression over the draws.
+
+    Args:
+        found, factors: `[draw, ...]`, quantity and control variate.
+        expected: `[...]`, exact mean of the control variate.
+    """
+    if len(found) < LEAST_DRAWS:
+        return found
+    spread = factors - factors.mean(axis=0)
+    square = np.sum(np.square(spread), axis=0)
+    slope = np.sum(spread * found, axis=0) / np.maximum(square, 1e-12 * np.sum(np.square(factors), axis=0) + 1e-300)
+    return np.asarray(found + slope * (expected - factors))
 
 
 def truncation_error(case: RidgeCase) -> float:
@@ -97,11 +127,15 @@ def truncation_error(case: RidgeCase) -> float:
     return moved / max(float(many[:, middle].sum()), 1e-6)
 
 
-def _on_nodes(fan: Fan, case: RidgeCase, along: float) -> Array:
-    """Interpolate one supercell to the nodes in a and b; the mirror image across the ridges is as likely."""
+def _on_nodes(power: Array, orders: Array, case: RidgeCase, along: float) -> Array:
+    """Interpolate `[out, in]` of one supercell to the nodes in a and b; its mirror image is as likely.
+
+    Args:
+        orders: `[order]`, sines across the ridges.
+    """
     chord = np.sqrt(1.0 - along**2)
     step = case.wavelength_nm / (case.statistics.period_nm * case.cover * chord)
-    sines = fan.sines / chord
+    sines = orders / chord
     nodes = np.linspace(-1.0, 1.0, SINES)
     place = np.clip(np.interp(nodes, sines, np.arange(len(sines))), 0.0, len(sines) - 1.0)
     low = np.minimum(place.astype(int), max(len(sines) - 2, 0))
@@ -109,9 +143,12 @@ def _on_nodes(fan: Fan, case: RidgeCase, along: float) -> Array:
     weight[np.arange(SINES), low] = 1.0 - (place - low)
     if len(sines) > 1:
         weight[np.arange(SINES), low + 1] = place - low
-    density = weight @ fan.power[:, ::-1] @ weight.T / step
+    # an order's power falls with both cosines, beyond the last order too
+    cosines = np.sqrt(np.maximum(1.0 - sines**2, 0.0))
+    weight = np.sqrt(np.maximum(1.0 - nodes**2, 0.0))[:, None] * weight / cosines
+    density = weight @ power[:, ::-1] @ weight.T / step
     density = 0.5 * (density + density.T)
-    return np.maximum(0.5 * (density + density[::-1, ::-1]), 0.0)
+    return np.asarray(0.5 * (density + density[::-1, ::-1]))
 
 
 def ridge_table(solved: Array, wavelengths_nm: Array, nodes: int) -> Array:

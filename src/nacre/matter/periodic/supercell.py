@@ -15,7 +15,7 @@ x and y components decouple. One solution holds the reflection of all incident o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from nacre.matter.periodic.types import Array
 REACH = 1.0  # longest step times the largest wave number
 MORE_ORDERS = 1.65, 3  # orders to each side over the period in wavelengths, and beyond
 GRAZING = 0.03  # orders with a smaller cosine are left out
+SAMPLED = 4000  # ridges in the expected interference
 STEEPEST = 3.0  # deviations in standard deviations; larger ones are drawn again
 
 
@@ -77,6 +78,34 @@ def drawn_ridges(statistics: RidgeStatistics, draw: int) -> Ridges:
         statistics.height_deviation_nm * (STEEPEST + height).round(3), widths,
         (np.arange(count) + 0.5) * pitch + places, statistics.period_nm,
     )  # fmt: skip
+
+
+def array_factor(ridges: Ridges, sines: Array, sine_along: float, wave: float) -> Array:
+    """Return the interference of ridges that scatter alike and independently, over their number squared, `[out, in]`.
+
+    Args:
+        sines: `[order]`, of a `Fan`.
+        wave: wave number in the medium above, 1/nm.
+    """
+    return np.asarray(np.abs(_mean_phase(ridges.centres_nm, ridges.heights_nm, sines, sine_along, wave)) ** 2)
+
+
+def mean_array_factor(statistics: RidgeStatistics, sines: Array, sine_along: float, wave: float) -> Array:
+    """Return the expected `array_factor` over all supercells, `[out, in]`."""
+    count = statistics.count
+    many = drawn_ridges(replace(statistics, count=SAMPLED), 0)
+    aside = many.centres_nm - (np.arange(SAMPLED) + 0.5) * statistics.pitch_nm
+    coherent = np.abs(_mean_phase(aside, many.heights_nm, sines, sine_along, wave)) ** 2
+    coherent = 0.5 * (coherent + coherent.T)  # shifts to both sides are equally likely
+    order = np.arange(len(sines))
+    is_of_pitch = (order[:, None] - order) % count == 0
+    return np.asarray((1.0 - coherent) / count + coherent * is_of_pitch)
+
+
+def _mean_phase(x: Array, z: Array, sines: Array, sine_along: float, wave: float) -> Array:
+    cosines = np.sqrt(np.maximum(1.0 - sines**2 - sine_along**2, 0.0))
+    across, up = np.multiply.outer(sines, wave * x), np.multiply.outer(cosines, wave * z)
+    return np.asarray(np.exp(1j * (up + across)) @ np.exp(1j * (up - across)).T / len(x))
 
 
 def _normal(random: np.random.Generator, count: int) -> Array:

@@ -22,10 +22,10 @@ from nacre.light import table_wavelengths_nm
 from nacre.picture.camera import View
 from nacre.picture.lights.emitter_plugins import spectrum_texture
 from nacre.picture.lights.environments import WOOD, edge, peak
-from nacre.picture.plugin import mi
+from nacre.picture.plugin import WrappedIntegrator, dr, make_plugin, mi
 from nacre.picture.samples import noise
-from nacre.picture.shapes import backdrop
-from nacre.picture.shapes.mesh import Mesh, rotation
+from nacre.picture.shapes import mesh
+from nacre.picture.shapes.mesh import Mesh, rotation, sweep_length
 
 PLANK = 1.5  # plank width on the desk
 _TILE = (12.0, 6.0)  # desk period along and across the grain, in scene units
@@ -306,8 +306,8 @@ def _bubbles() -> list[Part]:
 
 @functools.cache
 def _panel() -> list[Part]:
-    flat = backdrop.sheet(1.7, 1.9).moved(rotation("x", 24.0), (-1.08, 0.0, 0.4))
-    return [Part(flat), Part(backdrop.rolled(1.7, 0.82, 170.0).shifted(1.08, 0.0, 0.0))]
+    flat = mesh.sheet(1.7, 1.9).moved(rotation("x", 24.0), (-1.08, 0.0, 0.4))
+    return [Part(flat), Part(mesh.rolled(1.7, 0.82, 170.0).shifted(1.08, 0.0, 0.0))]
 
 
 @functools.cache
@@ -316,7 +316,7 @@ def _body() -> list[Part]:
         "paint": SUBJECT, "glass": "glass", "trim": "rubber", "lamps": "lamp", "tyres": "rubber", "rims": "chrome",
         "mirrors": SUBJECT, "seams": "matt-dark", "handles": "chrome", "plate": "plate",
     }  # fmt: skip
-    built = _shape("car", "car")
+    built = _shape("objects", "car")
     return [Part(built[name], material) for name, material in materials.items()]
 
 
@@ -371,20 +371,139 @@ def backdrop_parts(kind: Backdrop, see_through: bool, place_floor: str | None) -
     if kind == "none":
         return []
     if kind == "bowl":
-        return [(backdrop.bowl(*BOWL), chessboard(BOWL_SQUARE))]
+        return [(mesh.bowl(*BOWL), chessboard(BOWL_SQUARE))]
     if place_floor is not None:
         # a place paints its own ground at a distance; a bare sky has black below the horizon
         side = 8000.0 if place_floor == "plain" else 60.0
-        return [(backdrop.tile(side, side), plain_material(place_floor))]
-    surface = backdrop.sweep(*SWEEPS[kind])
+        return [(mesh.tile(side, side), plain_material(place_floor))]
+    surface = mesh.sweep(*SWEEPS[kind])
     top = float(surface.uv[:, 1].max())
     if kind == "desk":
         return [(surface, wood())]
     if kind == "specimen":
         return [(surface, museum_board())]
     if kind == "acrylic":
-        plate = backdrop.tile(*PLATE).shifted(0.0, -6.0, 0.001)  # above the matt ground
+        plate = mesh.tile(*PLATE).shifted(0.0, -6.0, 0.001)  # above the matt ground
         return [(surface, halo(40.0, top, 25.5)), (plate, acrylic())]
     if see_through:  # dark, because a film on glass has faint colours
         return [(surface, chessboard(SQUARE, 0.012, 0.11))]
     return [(surface, graded(40.0, top, 16.0))]
+
+
+# Infinite backdrops: camera rays that miss the scene see the backdrop continued beyond its edges.
+#
+# A larger mesh would stand before lamps and change the light. Instead, a missed ray's intersection with an infinite
+# backdrop is folded back into the finite one.
+
+START = 0.05  # distance from the matt surface at which a redirected ray starts
+RIM = 0.02  # unused margin on the finite backdrop
+FAR = 1e4  # distance for rays that do not descend
+HALVINGS = 40
+
+
+@dataclass(frozen=True)
+class InfiniteBackdrop:
+    """An infinite backdrop.
+
+    Attributes:
+        kind: scene backdrop.
+        square: side of the chequers; 0: plain.
+        turn_deg: turn about the vertical axis.
+    """
+
+    kind: Backdrop
+    square: float = 0.0
+    turn_deg: float = 0.0
+
+
+def infinite_backdrop(kind: Backdrop, is_chequered: bool, turn_deg: float) -> InfiniteBackdrop | None:
+    """Return a backdrop's continuation; None without backdrop."""
+    if kind == "none":
+        return None
+    if kind == "bowl":
+        return InfiniteBackdrop(kind, BOWL_SQUARE, turn_deg)
+    return InfiniteBackdrop(kind, SQUARE if is_chequered and kind == "sweep" else 0.0, turn_deg)
+
+
+def with_infinite_backdrop(integrator: Any, backdrop: InfiniteBackdrop) -> Any:
+    """Return an integrator whose camera rays see the backdrop beyond its edges."""
+    return make_plugin(WithInfiniteBackdrop, integrator, backdrop)
+
+
+def fold(value: Any, low: Any, high: Any, width: Any) -> Any:
+    """Reflect values outside [low, high] back and forth within the outermost `width`."""
+    beyond = dr.maximum(dr.maximum(value - high, low - value), 0.0)
+    period = beyond - 2.0 * width * dr.floor(beyond / (2.0 * width))
+    inward = width - dr.abs(period - width)
+    return dr.select(value > high, high - inward, dr.select(value < low, low + inward, value))
+
+
+def _fold_limits(length: float, square: float) -> tuple[float, float, float]:
+    """Limits and width for folding one side; chequers fold at square centres."""
+    if square == 0.0:
+        return RIM, length - RIM, 1.0
+    return 0.5 * square, (int((length - RIM) / square - 0.5) + 0.5) * square, 2.0 * square
+
+
+class WithInfiniteBackdrop(WrappedIntegrator):
+    """An integrator whose camera rays never miss the backdrop."""
+
+    def set_up(self, inner: Any, backdrop: InfiniteBackdrop) -> None:
+        self.inner, self.backdrop = inner, backdrop
+        turn = mi.ScalarTransform4f().rotate([0, 0, 1], backdrop.turn_deg)
+        self.turn, self.back = mi.Transform4f(turn.matrix), mi.Transform4f(turn.inverse().matrix)
+
+    def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
+        missed = (scene.ray_intersect_preliminary(ray, True, active).is_valid() ^ True) & active
+        meet = _on_bowl if self.backdrop.kind == "bowl" else _on_sweep
+        place, normal = meet(self.backdrop, self.back @ ray.o, self.back @ ray.d)
+        place, normal = self.turn @ place, self.turn @ dr.normalize(normal)
+        redirected = mi.RayDifferential3f(ray)
+        redirected.o = dr.select(missed, place + START * normal, ray.o)
+        redirected.d = dr.select(missed, -normal, ray.d)
+        return self.inner.sample(scene, sampler, redirected, medium, active)
+
+
+def _on_sweep(backdrop: InfiniteBackdrop, o: Any, d: Any) -> Any:
+    """Intersect a ray with an infinite floor, cove and wall, folded into `sweep`; return place and normal."""
+    half_width, front, back, radius, _ = SWEEPS[backdrop.kind]
+    flat, bent = front + back, 0.5 * dr.pi * radius
+    t_floor = dr.select(d.z < 0.0, -o.z / dr.minimum(d.z, -1e-9), FAR)
+    is_floor = (d.z < 0.0) & (o.y + t_floor * d.y <= back)
+    # the cove: a quarter cylinder along x
+    a = dr.maximum(d.y * d.y + d.z * d.z, 1e-9)
+    b = (o.y - back) * d.y + (o.z - radius) * d.z
+    c = dr.square(o.y - back) + dr.square(o.z - radius) - radius * radius
+    t_cove = (-b + dr.safe_sqrt(b * b - a * c)) / a
+    y, z = o.y + t_cove * d.y - back, radius - o.z - t_cove * d.z
+    is_cove = (b * b >= a * c) & (t_cove > 0.0) & (y >= 0.0) & (z >= 0.0)
+    t_wall = dr.select(d.y > 0.0, dr.minimum((back + radius - o.y) / dr.maximum(d.y, 1e-9), FAR), FAR)
+    along = flat + bent + dr.maximum(o.z + t_wall * d.z - radius, 0.0)
+    along = dr.select(is_cove, flat + radius * dr.atan2(y, z), along)
+    along = dr.select(is_floor, o.y + t_floor * d.y + front, along)
+    across = o.x + dr.select(is_floor, t_floor, dr.select(is_cove, t_cove, t_wall)) * d.x + half_width
+    across = fold(across, *_fold_limits(2.0 * half_width, backdrop.square)) - half_width
+    along = fold(along, *_fold_limits(sweep_length(*(SWEEPS[backdrop.kind])), backdrop.square))
+    angle = dr.clip((along - flat) / radius, 0.0, 0.5 * dr.pi)
+    up = radius * (1.0 - dr.cos(angle)) + dr.maximum(along - flat - bent, 0.0)
+    place = mi.Point3f(across, dr.minimum(along, flat) - front + radius * dr.sin(angle), up)
+    return place, mi.Vector3f(0.0, -dr.sin(angle), dr.cos(angle))
+
+
+def _on_bowl(backdrop: InfiniteBackdrop, o: Any, d: Any) -> Any:
+    """Intersect a ray with an infinite bowl, folded into `bowl`; return place and normal."""
+    flat, reach, rise = BOWL
+
+    def height(x: Any, y: Any) -> Any:
+        return rise * dr.square(dr.maximum(dr.sqrt(x * x + y * y) - flat, 0.0) / (reach - flat))
+
+    near, far = mi.Float(0.0), mi.Float(FAR)
+    for _ in range(HALVINGS):  # a line meets a bowl from above once
+        t = 0.5 * (near + far)
+        is_above = o.z + t * d.z > height(o.x + t * d.x, o.y + t * d.y)
+        near, far = dr.select(is_above, t, near), dr.select(is_above, far, t)
+    low, high, width = _fold_limits(reach, backdrop.square)
+    x, y = (fold(o[axis] + near * d[axis], -high, high, width) for axis in (0, 1))
+    r = dr.maximum(dr.sqrt(x * x + y * y), 1e-6)
+    slope = 2.0 * rise * dr.maximum(r - flat, 0.0) / (reach - flat) ** 2 / r
+    return mi.Point3f(x, y, height(x, y)), mi.Vector3f(-slope * x, -slope * y, 1.0)

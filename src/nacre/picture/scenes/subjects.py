@@ -1,17 +1,28 @@
 """The subject of a picture: a mesh file or one of our shapes, placed on the floor of a scene."""
 
+from __future__ import annotations
+
+import io
+import json
 import logging
+import re
+import struct
+from bisect import bisect_left
+from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.core.memory import check_memory
 from nacre.picture.camera import View
 from nacre.picture.scenes.catalogue import MESH_SUFFIXES, SHAPES, Part, Scene
-from nacre.picture.scenes.mesh_file import Triangles, read_triangles
 from nacre.picture.shapes.mesh import Mesh, face_normals, merge, open_seam, outward
 
 logger = logging.getLogger("nacre")
@@ -216,3 +227,355 @@ def _fitting_scale(profile: NDArray[np.float64], view: View, size: tuple[int, in
         middle = 0.5 * (low + high)
         low, high = (middle, high) if fits(largest * middle) else (low, middle)
     return largest * low
+
+
+# Triangles from mesh files, part by part, with unmodified uv, and vertex normals for meshes without any.
+
+CREASE_DEG = 45.0  # edges with a larger angle between their faces stay sharp
+GRAIN = 1e-6  # positions closer than this share of the extent are one
+MAX_PAIRS = 30_000_000  # pairs of faces at a common corner; beyond, all edges are smooth
+PAIRS_A_FACE = 36  # larger meshes are smoothed part by part; a usual mesh has 18
+
+
+def creased(
+    vertices: Array, faces: NDArray[np.int64], crease_deg: float = CREASE_DEG
+) -> tuple[NDArray[np.int64], Array, NDArray[np.int64]]:
+    """Return normals, and split vertices along sharp edges.
+
+    A face corner's normal is the mean normal over all faces at its position within `crease_deg` of the
+    face, weighted by their angles there.
+
+    Returns:
+        the original vertex of each new vertex `[N]`, unit normals `[N, 3]`, and faces `[M, 3]`.
+    """
+    place = _places(vertices)[faces].ravel()
+    across = face_normals(vertices[faces])
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    unit = np.where(length > 0, across / np.maximum(length, 1e-300), 0.0)
+    weight = _corner_angles(vertices[faces]).ravel()
+    face = np.repeat(np.arange(len(faces)), 3)
+    order = np.argsort(place, kind="stable")
+    counts = np.bincount(place)
+    if float(np.sum(counts.astype(float) ** 2)) > MAX_PAIRS:
+        total = np.zeros((len(counts), 3))
+        np.add.at(total, place, unit[face] * weight[:, None])
+        normals = total[place]
+    else:
+        normals = _within(order, counts, unit[face], weight, np.cos(np.radians(crease_deg)))
+    size = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.where(size > 1e-12, normals / np.maximum(size, 1e-300), unit[face])
+    normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, [0.0, 0.0, 1.0])
+    key = np.concatenate([faces.reshape(-1, 1), np.round(normals * 1e5).astype(np.int64)], axis=1)
+    _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    return faces.ravel()[first], normals[first], np.ravel(inverse).reshape(-1, 3)
+
+
+def _places(vertices: Array) -> NDArray[np.int64]:
+    """Return a number for each vertex, equal for equal positions."""
+    grain = GRAIN * max(float(np.ptp(vertices, axis=0).max()), 1e-300)
+    _, place = np.unique(np.round(vertices / grain).astype(np.int64), axis=0, return_inverse=True)
+    return np.ravel(place)
+
+
+def _corner_angles(corners: Array) -> Array:
+    """Return the angles of triangles `[M, 3, 3]` at their corners, `[M, 3]`."""
+    edge = np.roll(corners, -1, axis=1) - corners
+    back = -np.roll(edge, 1, axis=1)
+    size = np.linalg.norm(edge, axis=-1) * np.linalg.norm(back, axis=-1)
+    return np.asarray(np.arccos(np.clip(np.sum(edge * back, axis=-1) / np.maximum(size, 1e-300), -1.0, 1.0)))
+
+
+def _within(order: NDArray[np.int64], counts: NDArray[np.int64], unit: Array, weight: Array, cosine: float) -> Array:
+    """Return the weighted sum of face normals at each corner, over faces within the angle from the corner's own."""
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    repeat = np.repeat(counts, counts)  # partners of each sorted corner
+    first = np.repeat(np.arange(len(order)), repeat)
+    offset = np.arange(len(first)) - np.repeat(np.cumsum(repeat) - repeat, repeat)
+    second = np.repeat(np.repeat(starts, counts), repeat) + offset
+    a, b = order[first], order[second]
+    is_near = np.einsum("ij,ij->i", unit[a], unit[b]) >= cosine - 1e-9
+    a, b = a[is_near], b[is_near]
+    total = np.zeros_like(unit)
+    for axis in range(3):
+        total[:, axis] = np.bincount(a, unit[b, axis] * weight[b], minlength=len(unit))
+    return total
+
+
+_GLB_HEADER = struct.Struct("<4sII")  # magic, version, length of all
+_GLB_CHUNK = struct.Struct("<I4s")  # length, kind
+_GLB_START = _GLB_HEADER.size + _GLB_CHUNK.size
+# unsupported compressions of glTF; integers that represent 1 in "normalized" numbers
+PACKINGS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+_CORNER_ZERO = re.compile(rb"(?m)^[ \t]*f[^\n]*[ \t]0(?=[/ \t\r\n]|\Z)")
+_SMOOTHING = re.compile(rb"(?m)^[ \t]*s[ \t]+(\S+)")
+INTEGER_WHITE = {5121: 255.0, 5123: 65535.0}
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """One part of a file.
+
+    Attributes:
+        vertices, normals: `[N, 3]` in the scene's coordinates.
+        uv: `[N, 2]`, v up, or None.
+        faces: `[M, 3]`.
+        material: name of its material, or "".
+    """
+
+    vertices: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    uv: NDArray[np.float64] | None
+    faces: NDArray[np.int64]
+    material: str = ""
+
+
+def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
+    """Read the parts of a mesh file, one per material.
+
+    `trimesh` would pack the images of several materials into one and rescale uv if it joined the parts.
+
+    Args:
+        path: the file.
+        is_alone: do not read other files.
+
+    Raises:
+        NacreError: unsupported compression.
+        IndexError: a face names a vertex that does not exist.
+        FileNotFoundError: a required file is missing; its argument is the name.
+        Exception: errors of the format's parser.
+    """
+    import trimesh
+
+    class Beside(trimesh.resolvers.FilePathResolver):
+        """Files beside the mesh, by name or by URI with %20 for spaces."""
+
+        def get(self, name: str) -> bytes:
+            try:
+                return bytes(super().get(name))
+            except FileNotFoundError:
+                return bytes(super().get(unquote(name)))
+
+    suffix = path.suffix.lower()
+    uv_white = 1.0
+    if is_alone or suffix in (".gltf", ".glb", ".obj"):
+        content = path.read_bytes()
+        if suffix == ".obj":
+            if _CORNER_ZERO.search(content):
+                raise IndexError("OBJ counts vertices from 1")
+            content = with_triangles(content.replace(b"\t", b" "))
+        uv_white = _uv_white(path, content, suffix)
+        file = io.BytesIO(with_materials(content, suffix))  # bytes lack a folder with other files
+        resolver = None if is_alone else Beside(str(path))
+        read: Any = trimesh.load(file, file_type=suffix.removeprefix("."), resolver=resolver, process=False)
+    else:
+        read = trimesh.load(str(path), process=False)
+    crease_deg = 0.0 if suffix == ".obj" and _is_flat(path) else CREASE_DEG
+    parts = [
+        _triangles(part, transform, uv_white)
+        for part, transform in _placed(read)
+        if isinstance(part, trimesh.Trimesh) and len(part.faces)
+    ]
+    bare = [number for number, part in enumerate(parts) if not len(part.normals)]
+    is_small = PAIRS_A_FACE * sum(len(parts[number].faces) for number in bare) <= MAX_PAIRS
+    for group in [bare] if is_small and bare else [[number] for number in bare]:
+        for number, part in zip(group, _with_normals([parts[number] for number in group], crease_deg), strict=True):
+            parts[number] = part
+    return parts
+
+
+def _with_normals(parts: list[Triangles], crease_deg: float) -> list[Triangles]:
+    """Return parts with the normals of their common surface: the border of two materials stays smooth."""
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts)])
+    of, normals, faces = creased(np.concatenate([part.vertices for part in parts]), faces, crease_deg)
+    ends = np.cumsum([len(part.faces) for part in parts])[:-1]
+    found = []
+    for part, start, own in zip(parts, starts, np.split(faces, ends)):
+        used, inverse = np.unique(own, return_inverse=True)
+        old = of[used] - start
+        uv = None if part.uv is None else part.uv[old]
+        found.append(Triangles(part.vertices[old], normals[used], uv, inverse.reshape(-1, 3), part.material))
+    return found
+
+
+def _placed(read: Any) -> list[tuple[Any, NDArray[np.float64]]]:
+    """Return the geometries of a file with their transforms `[4, 4]`.
+
+    `trimesh.Scene.dump` would lose the file's normals.
+    """
+    if not hasattr(read, "graph"):
+        return [(read, np.eye(4))]
+    found = []
+    for node in read.graph.nodes_geometry:
+        transform, name = read.graph[node]
+        found.append((read.geometry[name], np.asarray(transform, dtype=np.float64)))
+    return found
+
+
+def _is_flat(path: Path) -> bool:
+    """Return whether an OBJ file turns smoothing off and never on."""
+    groups = _SMOOTHING.findall(path.read_bytes())
+    return bool(groups) and all(group in (b"0", b"off") for group in groups)
+
+
+def _triangles(part: Any, transform: NDArray[np.float64], uv_white: float) -> Triangles:
+    """Return a part; without normals in the file `[0, 3]` of them."""
+    vertices = np.asarray(part.vertices, dtype=np.float64) @ transform[:3, :3].T + transform[:3, 3]
+    faces = np.asarray(part.faces, dtype=np.int64)
+    if faces.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices):
+        raise IndexError("a face has a corner that is no vertex")
+    if np.linalg.det(transform[:3, :3]) < 0:
+        faces = faces[:, ::-1]
+    material = str(getattr(getattr(part.visual, "material", None), "name", None) or "")
+    uv = getattr(part.visual, "uv", None)
+    if uv is not None:
+        uv = np.asarray(uv, dtype=np.float64)
+        uv = uv if uv.shape == (len(vertices), 2) and np.isfinite(uv).all() else None
+    if uv is not None and uv_white != 1.0:
+        # `trimesh` subtracts v from 1 in unsigned integers, which overflow
+        uv = np.stack([uv[:, 0], uv_white - (1.0 - uv[:, 1]) % (uv_white + 1.0)], axis=1) / uv_white
+    if "vertex_normals" in part._cache.cache:  # from the file; `trimesh` computes others on demand
+        normals = np.asarray(part.vertex_normals, dtype=np.float64) @ np.linalg.inv(transform[:3, :3])
+        return Triangles(vertices, normals, uv, faces, material)
+    return Triangles(vertices, np.zeros((0, 3)), uv, faces, material)
+
+
+def with_materials(content: bytes, suffix: str) -> bytes:
+    """Add a material to glTF primitives with uv but without material, whose uv `trimesh` drops."""
+    text = _tree_text(content, suffix)
+    named = _named(text) if text is not None else None
+    if text is None or named is None:
+        return content
+    if suffix == ".gltf":
+        return named
+    named += b" " * (-len(named) % 4)
+    rest = content[_GLB_START + len(text) :]
+    version = _GLB_HEADER.unpack_from(content)[1]
+    size = _GLB_START + len(named) + len(rest)
+    return _GLB_HEADER.pack(b"glTF", version, size) + _GLB_CHUNK.pack(len(named), b"JSON") + named + rest
+
+
+def _tree_text(content: bytes, suffix: str) -> bytes | None:
+    """Return the JSON of a glTF file, or None for other files."""
+    if suffix == ".gltf":
+        return content
+    if suffix != ".glb" or len(content) < _GLB_START:
+        return None
+    length, kind = _GLB_CHUNK.unpack_from(content, _GLB_HEADER.size)
+    if content[:4] != b"glTF" or kind != b"JSON":
+        return None
+    return content[_GLB_START : _GLB_START + length]
+
+
+def _uv_white(path: Path, content: bytes, suffix: str) -> float:
+    """Return the number that represents 1 in the uv of a glTF file, which `trimesh` returns as stored.
+
+    Raises:
+        NacreError: unsupported compression.
+    """
+    try:
+        tree = json.loads(_tree_text(content, suffix) or b"{}")
+        packings = [name for name in tree.get("extensionsRequired", ()) if name in PACKINGS]
+        if "KHR_draco_mesh_compression" in packings and find_spec("DracoPy") is not None:
+            packings.remove("KHR_draco_mesh_compression")
+        primitives = [p for mesh in tree.get("meshes", ()) for p in mesh.get("primitives", ())]
+        accessors = tree.get("accessors", ())
+        used: dict[str, list[Any]] = {
+            key: [accessors[p["attributes"][key]] for p in primitives if key in p.get("attributes", {})]
+            for key in ("POSITION", "TEXCOORD_0")
+        }
+        if any("sparse" in accessor for key in used for accessor in used[key]):
+            packings.append("sparse accessors")
+        if any(accessor.get("normalized") for accessor in used["POSITION"]):
+            packings.append("normalized positions")
+        whites = {
+            INTEGER_WHITE.get(accessor["componentType"]) if accessor.get("normalized") else 1.0
+            for accessor in used["TEXCOORD_0"]
+        }
+    except (ValueError, AttributeError, TypeError, LookupError, RecursionError):
+        return 1.0  # the reader reports the error
+    white = whites.pop() if whites else 1.0
+    if white is None or whites:
+        packings.append("texture coordinates of several kinds, or of signed numbers")
+    if packings or white is None:
+        raise NacreError(
+            f"shape {path}: packs its numbers by {' and '.join(packings)}, which cannot be read; export it without "
+            "compression"
+        )
+    return white
+
+
+def _named(text: bytes) -> bytes | None:
+    """`with_materials` for the JSON; None without changes."""
+    try:
+        tree = json.loads(text)
+        bare = [
+            primitive
+            for mesh in tree.get("meshes", ())
+            for primitive in mesh.get("primitives", ())
+            if "TEXCOORD_0" in primitive.get("attributes", {}) and "material" not in primitive
+        ]
+        if not bare:
+            return None
+        materials = tree.setdefault("materials", [])
+        materials.append({})
+        for primitive in bare:
+            primitive["material"] = len(materials) - 1
+    except (ValueError, AttributeError, TypeError, RecursionError):
+        return None  # the reader reports the error
+    return json.dumps(tree).encode()
+
+
+_POLYGON = re.compile(r"(?m)^[ \t]*f((?:[ \t]+[-\d/]+){5,})[ \t]*\r?$")
+_VERTEX = re.compile(r"(?m)^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)")
+
+
+def with_triangles(content: bytes) -> bytes:
+    """Replace concave polygons of an OBJ file by triangles; readers would fan them out across their notches."""
+    text = content.decode("latin-1")  # accepts any bytes
+    polygons = list(_POLYGON.finditer(text))
+    if not polygons:
+        return content
+    vertices = list(_VERTEX.finditer(text))
+    starts = [vertex.start() for vertex in vertices]
+    parts, last = [], 0
+    try:
+        points = np.array([vertex.groups() for vertex in vertices], dtype=float).reshape(-1, 3)
+        for polygon in polygons:
+            corners = polygon[1].split()
+            numbers = [int(corner.partition("/")[0]) for corner in corners]
+            known = bisect_left(starts, polygon.start())  # negative numbers count back from the last vertex
+            triangles = cut(points[[number - 1 if number > 0 else known + number for number in numbers]])
+            if triangles:
+                lines = ("f " + " ".join(corners[k] for k in triangle) for triangle in triangles)
+                parts += [text[last : polygon.start()], "\n".join(lines)]
+                last = polygon.end()
+    except (ValueError, IndexError):  # the reader reports the error
+        return content
+    return "".join([*parts, text[last:]]).encode("latin-1")
+
+
+def cut(points: NDArray[np.float64]) -> list[list[int]]:
+    """Triangulate a concave polygon by ear clipping (mapbox-earcut); empty for a convex one.
+
+    Args:
+        points: corners in order, `[corner, 3]`, about in one plane.
+    """
+    import mapbox_earcut
+
+    normal = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)  # Newell
+    largest = int(np.argmax(np.abs(normal)))
+    sign = 1.0 if (normal[largest] > 0) != (largest == 1) else -1.0
+    flat = np.delete(points, largest, axis=1) * [sign, 1.0]  # counter-clockwise
+    if not normal.any() or (_areas(flat, np.roll(flat, -1, axis=0), np.roll(flat, -2, axis=0)) >= 0).all():
+        return []
+    triangles = mapbox_earcut.triangulate_float64(flat, np.array([len(flat)], dtype=np.uint32)).reshape(-1, 3)
+    is_reversed = _areas(*flat[triangles].transpose(1, 0, 2)).sum() < 0
+    found: list[list[int]] = (triangles[:, ::-1] if is_reversed else triangles).tolist()
+    return found
+
+
+def _areas(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Twice the signed areas of triangles `[N, 2]`."""
+    first, second = b - a, c - a
+    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])

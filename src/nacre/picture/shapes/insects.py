@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.picture.shapes import mesh
-from nacre.picture.shapes.backdrop import tile
+from nacre.picture.shapes.mesh import tile
 from nacre.picture.shapes.printed import text_mask
 
 

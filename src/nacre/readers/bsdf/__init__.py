@@ -1,1 +1,1 @@
-"""Readers of BSDF files: one module per format; `samples` has their common part."""
+"""Readers of BSDF files; `gonio_table` has their common part."""

@@ -1,13 +1,18 @@
-"""Measured BRDFs of public databases: ALTA, MERL, UTIA."""
+"""Measured BRDFs of public databases: ALTA, MERL, UTIA, RGL."""
 
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.core.arrays import Array, angles_deg, from_half_difference
+from nacre.core.arrays import Array, angles_deg, direction, from_half_difference, interpolate
 from nacre.core.errors import NacreError
-from nacre.readers.bsdf.samples import (
+from nacre.readers.bsdf.gonio_table import (
     COLOURS,
     DEGREES,
     measurement,
@@ -16,7 +21,7 @@ from nacre.readers.bsdf.samples import (
     read_bytes,
     read_text,
 )
-from nacre.readers.bsdf.samples import measurement as as_measurement
+from nacre.readers.bsdf.gonio_table import measurement as as_measurement
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead
 
@@ -217,3 +222,330 @@ def read_utia(path: Path, options: ReadOptions) -> list[Measurement]:
         measurement(path, "utia", pairs_of(*grids), None, planes.T, metadata, colour="rgb", assumed=assumed,
                     left_out=["nothing was measured above 75 degrees"])
     ]  # fmt: skip
+
+
+# RGL tensor files (`.bsdf`) of Mitsuba's `measured` and pbrt: spectra or RGB, isotropic or anisotropic.
+#
+# The sampling warp maps the unit square to a bilinear density: the row follows the marginal, the column the conditional
+# distribution, both inverted exactly (Dupuy & Jakob 2018, supplement).
+
+FLAT = 1e-4  # segments with smaller relative slope are constant, as in other readers
+
+
+@dataclass(frozen=True)
+class Warp:
+    """A normalised density at `[rows, columns]` grid corners.
+
+    Attributes:
+        density: `[rows, columns]`, mean 1 over the square.
+        conditional: `[rows, columns]`, running integral along a row.
+        marginal: `[rows]`, running integral over the rows.
+    """
+
+    density: Array
+    conditional: Array
+    marginal: Array
+
+    @classmethod
+    def of(cls, density: Array) -> Warp:
+        """Normalise a non-negative density that is positive somewhere."""
+        density = np.asarray(density, dtype=float)
+        rows, columns = density.shape
+        conditional = np.zeros_like(density)
+        conditional[:, 1:] = np.cumsum((density[:, 1:] + density[:, :-1]) / 2, axis=1)
+        totals = conditional[:, -1]
+        marginal = np.concatenate([[0.0], np.cumsum((totals[1:] + totals[:-1]) / 2)])
+        whole = marginal[-1]
+        scale = (rows - 1) * (columns - 1) / whole
+        return cls(density * scale, conditional / whole, marginal / whole)
+
+    def sample(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Map uniform (x, y) in [0, 1]^2 to a position; x runs along columns, y along rows."""
+        rows, columns = self.density.shape
+        x, y = np.clip(x, 0.0, 1 - 1e-12), np.clip(y, 0.0, 1 - 1e-12)
+        row = np.clip(np.searchsorted(self.marginal, y, side="right") - 1, 0, rows - 2)
+        totals = self.conditional[:, -1]
+        v = _solve(totals[row], totals[row + 1], y - self.marginal[row])
+        blended = (1 - v)[:, None] * self.conditional[row] + v[:, None] * self.conditional[row + 1]
+        target = x * blended[:, -1]
+        column = np.clip((blended <= target[:, None]).sum(axis=1) - 1, 0, columns - 2)
+        everyone = np.arange(len(x))
+        left = ((1 - v) * self.density[row, column] + v * self.density[row + 1, column]) * self._unit
+        right = ((1 - v) * self.density[row, column + 1] + v * self.density[row + 1, column + 1]) * self._unit
+        u = _solve(left, right, target - blended[everyone, column])
+        return (column + u) / (columns - 1), (row + v) / (rows - 1)
+
+    def invert(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """Map a position back to the uniform (x, y) that `sample` takes there."""
+        rows, columns = self.density.shape
+        cu, cv = np.clip(u, 0.0, 1.0) * (columns - 1), np.clip(v, 0.0, 1.0) * (rows - 1)
+        column, row = np.minimum(cu.astype(int), columns - 2), np.minimum(cv.astype(int), rows - 2)
+        fu, fv = cu - column, cv - row
+        totals = self.conditional[:, -1]
+        y = self.marginal[row] + fv * (totals[row] + 0.5 * fv * (totals[row + 1] - totals[row]))
+        left = ((1 - fv) * self.density[row, column] + fv * self.density[row + 1, column]) * self._unit
+        right = ((1 - fv) * self.density[row, column + 1] + fv * self.density[row + 1, column + 1]) * self._unit
+        below = (1 - fv) * self.conditional[row, column] + fv * self.conditional[row + 1, column]
+        whole = (1 - fv) * totals[row] + fv * totals[row + 1]
+        x = (below + fu * (left + 0.5 * fu * (right - left))) / np.maximum(whole, 1e-300)
+        return np.clip(x, 0.0, 1.0), np.clip(y, 0.0, 1.0)
+
+    @property
+    def _unit(self) -> float:
+        """Scale from density to running integrals."""
+        rows, columns = self.density.shape
+        return 1.0 / ((rows - 1) * (columns - 1))
+
+
+def _solve(start: Array, end: Array, area: Array) -> Array:
+    """Return t in [0, 1] such that the integral of a linear ramp over [0, t] equals `area`."""
+    flat = np.abs(start - end) < FLAT * (start + end)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        straight = 2 * area / (start + end)
+        ramp = (start - np.sqrt(np.maximum(start**2 - 2 * area * (start - end), 0.0))) / (start - end)
+    return np.clip(np.nan_to_num(np.where(flat, straight, ramp)), 0.0, 1.0)
+
+
+MAGIC = b"tensor_file\0"
+TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "u8", 8: "i8", 9: "f2", 10: "f4", 11: "f8"}
+MAX_FIELD_BYTES = 2 << 30
+MEMORY_FACTOR = 3  # memory per byte of a file: the file and its arrays in double precision
+
+
+def read_tensor(path: str | Path) -> dict[str, NDArray[Any]]:
+    """Read a tensor file into named arrays.
+
+    Raises:
+        NacreError: not a tensor file, damaged, or too large.
+    """
+    path = Path(path)
+    data = read_bytes(path, MEMORY_FACTOR)
+    if data[: len(MAGIC)] != MAGIC:
+        raise NacreError(f"{path}: is not a tensor file")
+    try:
+        return _parse_tensor(data)
+    except (struct.error, ValueError, KeyError, OverflowError, MemoryError) as error:
+        raise NacreError(f"{path}: the tensor file is damaged ({type(error).__name__})") from None
+
+
+def _parse_tensor(data: bytes) -> dict[str, NDArray[Any]]:
+    position = len(MAGIC)
+    _, _, count = struct.unpack_from("<BBI", data, position)
+    position += 6
+    found: dict[str, NDArray[Any]] = {}
+    for _ in range(count):
+        (length,) = struct.unpack_from("<H", data, position)
+        name = data[position + 2 : position + 2 + length].decode()
+        position += 2 + length
+        rank, code, offset = struct.unpack_from("<HBQ", data, position)
+        position += 11
+        shape = struct.unpack_from(f"<{rank}Q", data, position)
+        position += 8 * rank
+        dtype = np.dtype("<" + TYPES[code])
+        number = 1
+        for extent in shape:
+            number *= extent
+        if number * dtype.itemsize > MAX_FIELD_BYTES:
+            raise ValueError("field too large")
+        found[name] = np.frombuffer(data, dtype, number, offset).reshape(shape)
+    return found
+
+
+NEEDED = ("theta_i", "phi_i", "ndf", "sigma", "vndf", "jacobian")
+MAX_VALUE = 1e12  # larger values occur in damaged files only
+
+SMALLEST = 1e-12
+MIN_COS = 1e-4
+
+
+@dataclass(frozen=True)
+class RglBsdf:
+    """A measurement in RGL's parameterisation.
+
+    Attributes:
+        wavelengths_nm: `[wavelength]`; None for RGB.
+        theta_i, phi_i: `[incidence]`, `[azimuth]`, radians.
+        ndf, sigma: `[v, u]`.
+        warps: one visible-normal warp an azimuth and an incidence.
+        values: `[azimuth, incidence, wavelength or channel, row, column]`.
+        has_jacobian: whether `values` is to be multiplied by ndf/(4 sigma).
+    """
+
+    wavelengths_nm: Array | None
+    theta_i: Array
+    phi_i: Array
+    ndf: Array
+    sigma: Array
+    warps: tuple[tuple[Warp, ...], ...]
+    values: Array
+    has_jacobian: bool
+
+    @property
+    def is_isotropic(self) -> bool:
+        """Whether the values depend on the azimuth difference only."""
+        return len(self.phi_i) <= 2
+
+    @classmethod
+    def read(cls, path: str | Path) -> RglBsdf:
+        """Read a tensor file.
+
+        Raises:
+            NacreError: fields are missing or do not fit.
+        """
+        fields = read_tensor(path)
+        missing = [name for name in NEEDED if name not in fields]
+        if missing:
+            raise NacreError(f"{path}: the tensor file has no field {missing[0]}; it is not a BSDF")
+        if "rgb" not in fields and not {"spectra", "wavelengths"} <= set(fields):
+            raise NacreError(f"{path}: the tensor file has neither spectra with wavelengths nor rgb; it is not a BSDF")
+        try:
+            with np.errstate(invalid="ignore"):  # a signalling NaN warns when it is read; _from refuses it
+                return cls._from(fields)
+        except (ValueError, IndexError):
+            raise NacreError(f"{path}: the fields of the tensor file do not fit together or are impossible") from None
+
+    @classmethod
+    def _from(cls, fields: dict[str, NDArray[Any]]) -> RglBsdf:
+        is_spectral = "spectra" in fields and "wavelengths" in fields
+        theta, phi = np.asarray(fields["theta_i"], float), np.asarray(fields["phi_i"], float)
+        values = np.asarray(fields["spectra" if is_spectral else "rgb"], float)
+        vndf = np.asarray(fields["vndf"], float)
+        waves = np.asarray(fields["wavelengths"], float) if is_spectral else np.arange(1.0, 4.0)
+        if values.ndim != 5 or vndf.ndim != 4 or values.shape[:3] != (len(phi), len(theta), len(waves)):
+            raise ValueError("shapes")
+        if vndf.shape[:2] != (len(phi), len(theta)) or fields["ndf"].ndim != 2 or fields["sigma"].ndim != 2:
+            raise ValueError("shapes")
+        arrays = (theta, phi, values, vndf, waves, fields["ndf"], fields["sigma"])
+        if not all(np.isfinite(a).all() and np.max(np.abs(a), initial=0.0) < MAX_VALUE for a in arrays):
+            raise ValueError("values")
+        if min(*vndf.shape[2:], *values.shape[3:], *fields["ndf"].shape, *fields["sigma"].shape, len(theta)) < 2:
+            raise ValueError("nodes")
+        if np.any(np.maximum(vndf, 0.0).max(axis=(2, 3)) < SMALLEST) or np.any(np.asarray(fields["sigma"]) < SMALLEST):
+            raise ValueError("nothing to divide by")
+        if np.any(np.diff(theta) <= 0) or len(waves) < 1 or waves[0] <= 0 or np.any(np.diff(waves) <= 0):
+            raise ValueError("axes")
+        warps = tuple(tuple(Warp.of(np.maximum(table, 0.0)) for table in row) for row in vndf)
+        ndf, sigma = np.asarray(fields["ndf"], float), np.asarray(fields["sigma"], float)
+        return cls(waves if is_spectral else None, theta, phi, ndf, sigma, warps, values, bool(fields["jacobian"][0]))
+
+    def evaluate(self, wi: Array, wo: Array) -> Array:
+        """Return f (without the cosine), `[..., wavelength or channel]`, zero below the horizon.
+
+        Light azimuths that span a half or a quarter of the circle repeat by rotation or by reflections.
+        """
+        shape = np.broadcast_shapes(wi.shape, wo.shape)
+        wi, wo = (np.broadcast_to(w, shape).reshape(-1, 3) for w in (wi, wo))
+        up = (wi[:, 2] > 1e-4) & (wo[:, 2] > 1e-4)
+        values = np.zeros((len(wi), self.values.shape[2]))
+        values[up] = self._above(wi[up], wo[up])
+        return values.reshape(*shape[:-1], -1)
+
+    def _reduced(self, wi: Array, wo: Array) -> tuple[Array, Array]:
+        """Turn or reflect both directions so that the light's azimuth lies among the measured ones."""
+        repeats = int(round(2 * np.pi / max(float(np.ptp(self.phi_i)), 1e-6)))
+        if self.is_isotropic or repeats not in (2, 4):
+            return wi, wo
+        low = self.phi_i[0] < -1e-6 and self.phi_i[-1] < 1e-6  # measured at negative azimuths
+        sides = [np.where(wi[:, k] < 0, -1.0, 1.0) for k in (0, 1)]
+        wanted = np.sign(np.cos(self.phi_i.mean())), -1.0 if low else 1.0
+        sign_y = sides[1] * wanted[1]
+        sign_x = sides[0] * wanted[0] if repeats == 4 else sign_y
+        signs = np.stack([sign_x, sign_y, np.ones_like(sign_x)], axis=-1)
+        return wi * signs, wo * signs
+
+    def _above(self, wi: Array, wo: Array) -> Array:
+        wi, wo = self._reduced(wi, wo)
+        m = wi + wo
+        m /= np.linalg.norm(m, axis=-1, keepdims=True)
+        theta_i, theta_m = np.arccos(np.clip(wi[:, 2], -1, 1)), np.arccos(np.clip(m[:, 2], -1, 1))
+        phi_i, phi_m = np.arctan2(wi[:, 1], wi[:, 0]), np.arctan2(m[:, 1], m[:, 0])
+        u_m = np.sqrt(theta_m * 2 / np.pi)
+        v_m = np.mod((phi_m - (phi_i if self.is_isotropic else 0.0) + np.pi) / (2 * np.pi), 1.0)
+        low, share = _place(theta_i, self.theta_i)
+        turn, turned = (np.zeros_like(low), np.zeros_like(share)) if self.is_isotropic else self._turn(phi_i)
+        total = np.zeros((len(wi), self.values.shape[2]))
+        for p, t in np.unique(np.stack([turn, low]), axis=1).T:
+            some = (turn == p) & (low == t)
+            corners = [
+                (a, b, (turned[some] if a > p else 1 - turned[some]) * (share[some] if b > t else 1 - share[some]))
+                for a in ((p,) if self.is_isotropic else (p, p + 1))
+                for b in (t, t + 1)
+            ]
+            x = [np.zeros(int(some.sum())), np.zeros(int(some.sum()))]
+            for a, b, weight in corners:
+                for axis, position in enumerate(self.warps[a][b].invert(u_m[some], v_m[some])):
+                    x[axis] += weight * position
+            total[some] = sum(weight[:, None] * _fetch(self.values[a, b], x[0], x[1]) for a, b, weight in corners)
+        if self.has_jacobian:
+            v_i = np.full_like(theta_i, 0.5) if self.is_isotropic else (phi_i + np.pi) / (2 * np.pi)
+            u_i = np.sqrt(theta_i * 2 / np.pi)
+            scale = _fetch(self.ndf[None], u_m, v_m)[:, 0] / (4 * _fetch(self.sigma[None], u_i, v_i)[:, 0])
+            total *= scale[:, None]
+        return np.asarray(total / wo[:, 2:3])
+
+    def _turn(self, phi_i: Array) -> tuple[NDArray[np.intp], Array]:
+        """Return the measured azimuth below each of the light, and the share of the next one."""
+        middle = 0.5 * (self.phi_i[0] + self.phi_i[-1])
+        return _place(middle + np.mod(phi_i - middle + np.pi, 2 * np.pi) - np.pi, self.phi_i)
+
+    def samples(self) -> tuple[Array, Array]:
+        """Return the measured direction pairs `[pair, 4]` in degrees and their values `[pair, channel]`."""
+        rows, columns = self.values.shape[3:]
+        x, y = (a.ravel() for a in np.meshgrid(np.linspace(0, 1, columns), np.linspace(0, 1, rows)))
+        angles, values = [], []
+        for (p, phi), (t, theta) in ((a, b) for a in enumerate(self.phi_i) for b in enumerate(self.theta_i)):
+            turn = phi if self.is_isotropic else 0.0
+            u, v = self.warps[p][t].sample(x, y)
+            m = direction(u**2 * (np.pi / 2), (2 * v - 1) * np.pi + turn)
+            wi = direction(theta, phi)
+            wo = 2 * (m @ wi)[:, None] * m - wi
+            up = wo[:, 2] > MIN_COS
+            f = self.values[p, t].reshape(self.values.shape[2], -1).T[up] / wo[up, 2:3]
+            if self.has_jacobian:
+                at = (
+                    np.sqrt(np.full(1, theta) * 2 / np.pi),
+                    np.array([0.5 if self.is_isotropic else (phi + np.pi) / (2 * np.pi)]),
+                )
+                f = f * (_fetch(self.ndf[None], u[up], v[up]) / (4 * _fetch(self.sigma[None], *at)))
+            pair = np.empty((int(up.sum()), 4))
+            pair[:, 0], pair[:, 1] = np.degrees(theta), np.degrees(phi) % 360.0
+            pair[:, 2:] = angles_deg(wo[up])
+            angles.append(pair)
+            values.append(f)
+        return np.concatenate(angles), np.concatenate(values)
+
+
+def _place(x: Array, nodes: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the node below each x, and the share of the next one; values beyond the ends are held."""
+    place = np.interp(x, nodes, np.arange(len(nodes)))
+    low = np.minimum(place.astype(int), len(nodes) - 2)
+    return low, place - low
+
+
+def _fetch(tables: Array, x: Array, y: Array) -> Array:
+    """Interpolate `[channel, row, column]` bilinearly at positions in [0, 1]: `[point, channel]`."""
+    rows, columns = tables.shape[1:]
+    return interpolate(np.moveaxis(tables, 0, -1), (y * (rows - 1), x * (columns - 1)))
+
+
+def sniff_rgl(head: FileHead) -> float:
+    """Recognise the magic number."""
+    return CERTAIN if head.data.startswith(MAGIC) else 0.0
+
+
+def read_rgl(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read the measured direction pairs.
+
+    Raises:
+        NacreError: not a BSDF tensor, or damaged.
+    """
+    table = RglBsdf.read(path)
+    angles, values = table.samples()
+    is_rgb = table.wavelengths_nm is None
+    metadata = {
+        "scatter": "brdf", "is_isotropic": table.is_isotropic, "theta_i_deg": np.degrees(table.theta_i),
+        "phi_i_deg": np.degrees(table.phi_i), "shape": table.values.shape,
+    }  # fmt: skip
+    left = ["samples whose exit direction lies below the surface"]
+    return [measurement(path, "rgl", angles, table.wavelengths_nm, values, metadata,
+                        colour="rgb" if is_rgb else None, left_out=left)]  # fmt: skip

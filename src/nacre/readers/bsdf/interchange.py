@@ -1,8 +1,11 @@
-"""Interchange formats of scatter data: ASTM E1392, SSDD, universal BRDF (JSON), WINDOW XML."""
+"""Interchange formats of scatter data: ASTM E1392, SSDD, universal BRDF (JSON), WINDOW XML, Speos."""
+
+from __future__ import annotations
 
 import json
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,9 +14,9 @@ import numpy as np
 
 from nacre.core.arrays import Array, angles_deg
 from nacre.core.errors import NacreError
-from nacre.readers.bsdf import samples
+from nacre.readers.bsdf import gonio_table
+from nacre.readers.bsdf.gonio_table import axis, measurement, numbers, pairs_of, read_bytes
 from nacre.readers.bsdf.ray_tracers import scatter_direction
-from nacre.readers.bsdf.samples import measurement as as_measurement
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
@@ -38,7 +41,7 @@ def read_astm_e1392(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: the head or a row is invalid, or the row count contradicts NUM_POINTS.
     """
-    lines = samples.read_text(path).splitlines()
+    lines = gonio_table.read_text(path).splitlines()
     start = next((i for i, line in enumerate(lines) if _VARS.match(line)), None)
     if start is None:
         raise NacreError(f"{path}: has no line VARS=theta_i,phi_i,theta_s,phi_s,...")
@@ -55,14 +58,14 @@ def read_astm_e1392(path: Path, options: ReadOptions) -> list[Measurement]:
     )
     angles = table[:, :4] if is_degrees else np.degrees(table[:, :4])
     assumed = [f"angles are in {'degrees' if is_degrees else 'radians'} by their range"] if options.unit is None else []
-    theta_i, phi_i = samples.unsigned(angles[:, 0], angles[:, 1])
-    theta_o, phi_o = samples.unsigned(angles[:, 2], angles[:, 3])
+    theta_i, phi_i = gonio_table.unsigned(angles[:, 0], angles[:, 1])
+    theta_o, phi_o = gonio_table.unsigned(angles[:, 2], angles[:, 3])
     angles = np.stack([theta_i, phi_i, theta_o, phi_o], axis=-1)
     colour, waves, notes = _channels(path, names[4:])
     metadata = {"scatter": "btdf" if any("btdf" in n.lower() for n in names[4:]) else "brdf", "vars": names}
     head = [line.strip() for line in lines[:start] if line.strip()]
     return [
-        as_measurement(path, "astm_e1392", angles, waves, table[:, 4:], metadata | {"head": head}, colour=colour,
+        measurement(path, "astm_e1392", angles, waves, table[:, 4:], metadata | {"head": head}, colour=colour,
                        assumed=[*assumed, *notes])
     ]  # fmt: skip
 
@@ -123,7 +126,7 @@ def read_ssdd(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: a block is incomplete or unknown.
     """
-    data, place = samples.read_bytes(path, 8.0), 0
+    data, place = gonio_table.read_bytes(path, 8.0), 0
     found: list[Measurement] = []
     entries: dict[str, str] = {}
     while place < len(data):
@@ -176,7 +179,7 @@ def _block_ssdd(path: Path, entries: dict[str, str], data: bytes, place: int) ->
         table[f"specular_{quantity}"] = values.ravel()
         return Measurement(path, "ssdd", "bsdf", table, name, metadata), place
     angles = _angles(entries.get("PARAM_TYPE", "").lower(), grids, entries, axes[0])
-    return as_measurement(path, "ssdd", angles, waves, values, metadata, name=name, colour=colour), place
+    return measurement(path, "ssdd", angles, waves, values, metadata, name=name, colour=colour), place
 
 
 def _values(mode: str, data: bytes, place: int, count: int) -> tuple[Array, int]:
@@ -200,16 +203,16 @@ def _angles(kind: str, grids: list[Array], entries: dict[str, str], incidence: A
     """Return direction pairs in degrees."""
     first, second, third, fourth = grids
     if kind == "spherical_coordinate_system":
-        return samples.pairs_of(first, second, third, fourth % 360.0)
+        return gonio_table.pairs_of(first, second, third, fourth % 360.0)
     if kind == "half_difference_coordinate_system":
-        return samples.pairs_of_half_angles(*(np.radians(g).ravel() for g in grids))
+        return gonio_table.pairs_of_half_angles(*(np.radians(g).ravel() for g in grids))
     if kind != "specular_coordinate_system":
         raise ValueError(kind)
     offsets = [float(w) for w in entries.get("PARAM4_LIST", "").split()] or np.zeros(len(incidence))
     mirror = first + np.interp(first, incidence, offsets)
     # spherical coordinates turned to the mirror direction: azimuth 0 points from it towards the normal, 90 to +y
     out = angles_deg(scatter_direction(mirror, -fourth, third))
-    return samples.pairs_of(first, second, out[..., 0], (out[..., 1] + second) % 360.0)
+    return gonio_table.pairs_of(first, second, out[..., 0], (out[..., 1] + second) % 360.0)
 
 
 # Universal BRDF files (JSON of the BiRD and BxDiff projects): `data.variables` name the columns of `data.values`.
@@ -235,7 +238,7 @@ def read_brdf_json(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: not valid JSON, or variables are missing or not numbers.
     """
     try:
-        document = json.loads(samples.read_text(path))
+        document = json.loads(gonio_table.read_text(path))
         variables = document["data"]["variables"]
         rows, names = document["data"]["values"], [str(v["name"]) for v in variables]
         units = {name: str(v.get("unit", "")) for name, v in zip(names, variables, strict=True)}
@@ -244,19 +247,19 @@ def read_brdf_json(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(f"{path}: is not a universal BRDF file, or is damaged") from None
     place = {name.lower(): i for i, name in enumerate(names)}
     angles = np.stack([_column(path, rows, names, place, units, among) for among in BRDF_JSON_ANGLES], axis=-1)
-    theta_i, phi_i = samples.unsigned(angles[:, 0], angles[:, 1])
-    theta_o, phi_o = samples.unsigned(angles[:, 2], angles[:, 3])
+    theta_i, phi_i = gonio_table.unsigned(angles[:, 0], angles[:, 1])
+    theta_o, phi_o = gonio_table.unsigned(angles[:, 2], angles[:, 3])
     value = _column(path, rows, names, place, units, ("brdf", "btdf", "bsdf"))
     scatter = "btdf" if "btdf" in place else "brdf"
     metadata: dict[str, Any] = {"scatter": scatter, "variables": names, "head": head}
     name = str(head.get("name", "")) if isinstance(head, dict) else ""
     pairs = np.stack([theta_i, phi_i, theta_o, phi_o], axis=-1)
-    made = samples.measurement(path, "brdf_json", pairs, None, value[:, None], metadata, name=name)
+    made = gonio_table.measurement(path, "brdf_json", pairs, None, value[:, None], metadata, name=name)
     data, assumed = dict(made.data), list(made.assumed)
     wave = next((name for name in WAVES if name in place), None)
     if wave is not None:
         column = _column(path, rows, names, place, units, (wave,))
-        data["wavelength_nm"], notes = samples.wavelengths_in_nm(
+        data["wavelength_nm"], notes = gonio_table.wavelengths_in_nm(
             path, column, units[names[place[wave]]].lower() or None
         )
         assumed += notes
@@ -267,7 +270,7 @@ def read_brdf_json(path: Path, options: ReadOptions) -> list[Measurement]:
         data["bsdf_error"] = _column(path, rows, names, place, units, (error,))
     used = {*sum(BRDF_JSON_ANGLES, ()), *WAVES, "brdf", "btdf", "bsdf", "ubrdf", "ubtdf", "ubsdf"}
     left = [f"variable {name} was not read" for name in names if name.lower() not in used]
-    ordered = {key: data[key] for key in (*samples.DEGREES, "wavelength_nm", "bsdf", "bsdf_error") if key in data}
+    ordered = {key: data[key] for key in (*gonio_table.DEGREES, "wavelength_nm", "bsdf", "bsdf_error") if key in data}
     return [Measurement(path, made.format, made.kind, ordered, made.name, made.metadata, tuple(assumed),
                         (*made.left_out, *left))]  # fmt: skip
 
@@ -314,7 +317,7 @@ def read_window_xml(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: not valid XML, a basis of another kind (tensor trees), or a matrix that does not fit its basis.
     """
-    text = samples.read_text(path)
+    text = gonio_table.read_text(path)
     text = text[max(text.find("<?xml"), 0) :]
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise NacreError(f"{path}: holds a document type declaration, which this format does not use")
@@ -372,10 +375,265 @@ def _block_window_xml(
     values = matrix if has_columns else matrix.T
     is_through = "transmission" in side.lower()
     theta_o = 180.0 - out.theta if is_through else out.theta
-    angles = samples.pairs_of(incident.theta[None], incident.phi[None], theta_o[:, None], out.phi[:, None])
+    angles = gonio_table.pairs_of(incident.theta[None], incident.phi[None], theta_o[:, None], out.phi[:, None])
     metadata = {"scatter": "btdf" if is_through else "brdf", "direction": side, "wavelength_range": label,
                 "shape": values.shape}  # fmt: skip
     assumed = ["azimuths of incident and outgoing patches are as the basis counts them",
                f"the values are means over the range {label or 'of the file'}"]  # fmt: skip
-    return samples.measurement(path, "window_xml", angles, None, values.reshape(-1, 1), metadata,
+    return gonio_table.measurement(path, "window_xml", angles, None, values.reshape(-1, 1), metadata,
                        name=f"{name} {label} {side}".strip(), assumed=assumed)  # fmt: skip
+
+
+# Speos files as text: scattering surfaces (parameters) and measured BSDFs (`.brdf`, `.anisotropicbsdf`).
+#
+# Scattering surfaces give, for each incidence and wavelength, reflected and transmitted shares in per cent: specular,
+# Lambertian, Gaussian, and the Gaussian's two full widths in degrees. Measured BSDFs have their mirror direction at
+# azimuth 0. BSDF180 holds two files, of the front and of the back; binary and encrypted files are refused.
+
+ROWS = ("specular", "lambertian", "gaussian", "gaussian_fwhm_x", "gaussian_fwhm_y")
+FIRST = "OPTIS - "
+
+
+def sniff_speos(head: FileHead) -> float:
+    """Recognise the first line."""
+    line = head.data[:200].lstrip(b"\xef\xbb\xbf").decode("latin-1").split("\n")[0].lower()
+    known = ("scattering", "brdf", "bsdf", "coated")
+    return CERTAIN if line.startswith("optis") and any(word in line for word in known) else 0.0
+
+
+def read_speos(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read a text file of one of the kinds.
+
+    Raises:
+        NacreError: the file is binary, compressed, of another kind, or damaged.
+    """
+    data = read_bytes(path, 8.0)
+    if b"\0" in data:
+        raise NacreError(f"{path}: is a binary or encrypted Speos file; save it as text in the BSDF viewer")
+    lines = data.decode("latin-1").splitlines()
+    title = lines[0].lower()
+    try:
+        if "bsdf180" in title or "bsdf 180" in title:
+            return _both_sides(path, lines)
+        return [*_part(path, lines)]
+    except (ValueError, IndexError, StopIteration):
+        raise NacreError(f"{path}: the Speos file is damaged, or of a version that is not known") from None
+
+
+def _part(path: Path, lines: list[str]) -> list[Measurement]:
+    title = lines[0].lower()
+    if "simple" in title and "scattering" in title:
+        return [_simple(path, lines)]
+    if "anisotropic" in title:
+        return _anisotropic(path, lines)
+    if "scattering" in title:
+        return [_scattering(path, lines)]
+    if "brdf" in title:
+        return _measured(path, lines)
+    raise NacreError(f'{path}: "{lines[0].strip()[:60]}" is a Speos file of a kind that is not read')
+
+
+def _scattering(path: Path, lines: list[str]) -> Measurement:
+    words = iter(" ".join(lines[2:]).split())
+    incidences, waves = int(next(words)), int(next(words))
+    wavelengths = axis(words, waves)
+    theta, table = [], []
+    for _ in range(incidences):
+        theta.append(float(next(words)))
+        table.append(numbers(words, len(ROWS) * waves * 2).reshape(len(ROWS), waves, 2))
+    if next(words, None) is not None or np.any(np.diff(theta) <= 0):
+        raise ValueError("more numbers than announced")
+    return _model(path, "scattering", lines, np.array(theta), wavelengths, np.array(table))
+
+
+def _simple(path: Path, lines: list[str]) -> Measurement:
+    """Read the wavelength-independent form: rows of reflected and transmitted shares as in the full form."""
+    found = [float(word) for word in " ".join(lines[2:]).split()]
+    if len(found) != 2 * len(ROWS):
+        raise NacreError(
+            f"{path}: a simple scattering file holds {2 * len(ROWS)} numbers below its two lines; this has {len(found)}"
+        )
+    table = np.reshape(found, (1, len(ROWS), 1, 2))
+    return _model(path, "simple_scattering", lines, np.zeros(1), None, table)
+
+
+def _model(
+    path: Path, form: str, lines: list[str], theta: Array, wavelengths: Array | None, table: Array
+) -> Measurement:
+    """Return the parameters as a table: one row per incidence and wavelength.
+
+    Args:
+        table: `[incidence, row, wavelength, (reflected, transmitted)]`, per cent and degrees.
+    """
+    waves = table.shape[2]
+    data: dict[str, Array] = {"theta_i_deg": np.repeat(theta, waves)}
+    if wavelengths is not None:
+        data["wavelength_nm"] = np.tile(wavelengths, len(theta))
+    for row, name in enumerate(ROWS):
+        is_angle = name.startswith("gaussian_fwhm")
+        for side, word in enumerate(("reflectance", "transmittance")):
+            column = table[:, row, :, side].reshape(-1)
+            key = f"{name}_{word}_deg" if is_angle else f"{name}_{word}"
+            data[key] = column if is_angle else column / 100.0
+    left = ("parameters of a model, not samples of a BSDF",)
+    metadata = {"scatter": "model", "title": lines[0].strip(), "comment": lines[1].strip(),
+                "incidences": len(theta), "wavelengths_nm": wavelengths}  # fmt: skip
+    return Measurement(path, "speos", "bsdf", data, lines[1].strip(), metadata | {"form": form}, (), left)
+
+
+def _head(lines: list[str]) -> tuple[list[str], str]:
+    """Return the lines after mode, comment and measurement description, and the description."""
+    if lines[1].strip() != "0":
+        raise ValueError("binary")
+    count, place, text = int(lines[3].split()[0]), 4, lines[4] if len(lines) > 4 else ""
+    while len(text) < count and place + 1 < len(lines):
+        place += 1
+        text += "\n" + lines[place]
+    return lines[place + 1 :], text
+
+
+def _blocks(words: Iterator[str]) -> tuple[Array, Array, Array]:
+    """Return theta, phi and values `[theta, phi]` of one table."""
+    thetas, phis = int(next(words)), int(next(words))
+    phi = axis(words, phis)
+    rows = numbers(words, thetas * (phis + 1)).reshape(thetas, phis + 1)
+    return rows[:, 0], phi, rows[:, 1:]
+
+
+def _scaled(theta: Array, phi: Array, values: Array, percent: float, is_bsdf: bool) -> Array:
+    """Return the BSDF whose hemispherical integral is the stated share.
+
+    Values are proportional to the BSDF, or to the intensity (BSDF times cosine).
+    """
+    f = values if is_bsdf else _over_cosine(theta[:, None], values)
+    total = hemispherical_share(theta, phi, f)
+    return np.asarray(f * (percent / 100.0 / total)) if total > 0 else f
+
+
+def _over_cosine(theta: Array, intensity: Array) -> Array:
+    """Return the BSDF of an intensity; at grazing directions, where the cosine is 0, no finite BSDF follows: 0."""
+    cosine = np.abs(np.cos(np.radians(theta)))
+    return np.asarray(np.where(cosine > 1e-6, intensity / np.maximum(cosine, 1e-6), 0.0))
+
+
+def hemispherical_share(theta_deg: Array, phi_deg: Array, f: Array) -> float:
+    """Integrate f cos over a hemisphere by trapezia; azimuths from 0 to 180 degrees stand for both sides.
+
+    Args:
+        f: `[theta, phi]`, 1/sr.
+    """
+    from scipy.integrate import trapezoid
+
+    angle = np.radians(theta_deg)
+    order = np.argsort(angle)
+    weight = np.abs(np.cos(angle)) * np.sin(angle)
+    power = trapezoid((f * weight[:, None])[order], angle[order], axis=0)
+    if len(phi_deg) == 1:
+        return float(power[0] * 2 * np.pi)
+    is_half = abs(phi_deg[-1] - 180.0) < 1e-6 and phi_deg[0] == 0
+    return float(trapezoid(power, np.radians(phi_deg))) * (2.0 if is_half else 1.0)
+
+
+def _measurement(
+    path: Path, form: str, rotation: float, incidence: float, block: tuple[Array, Array, Array]
+) -> tuple[Array, Array]:
+    """Return direction pairs `[pair, 4]` (mirror at 180 degrees) and values `[pair]`."""
+    theta, phi, values = block
+    t, p = np.meshgrid(theta, phi, indexing="ij")
+    return pairs_of(np.full(t.shape, incidence), np.full(t.shape, rotation), t, (p + 180.0 + rotation) % 360.0), (
+        values.reshape(-1)
+    )
+
+
+def _measured(path: Path, lines: list[str]) -> list[Measurement]:
+    rest, text = _head(lines)
+    words = iter(" ".join(rest).split())
+    sides, is_bsdf = [int(next(words)), int(next(words))], int(next(words)) == 1
+    count, waves = int(next(words)), int(next(words))
+    incidence, wavelengths = axis(words, count), axis(words, waves)
+    found = []
+    for scatter, has in zip(("brdf", "btdf"), sides, strict=True):
+        if not has:
+            continue
+        angles, values = [], []
+        for at in incidence:
+            columns = []
+            for _ in range(waves):
+                percent = float(next(words))
+                theta, phi, table = _blocks(words)
+                scaled = _scaled(theta, phi, table, percent, is_bsdf)
+                columns.append(_measurement(path, "", 0.0, float(at), (theta, phi, scaled)))
+            if any(not np.array_equal(c[0], columns[0][0]) for c in columns):
+                raise ValueError("angles differ between wavelengths")
+            angles.append(columns[0][0])
+            values.append(np.stack([c[1] for c in columns], axis=-1))
+        found.append(_made(path, "brdf", scatter, np.concatenate(angles), wavelengths, np.concatenate(values),
+                           {"title": lines[0].strip(), "description": text}))  # fmt: skip
+    return found
+
+
+def _made(
+    path: Path, form: str, scatter: str, angles: Array, waves: Array | None, values: Array, metadata: dict[str, Any]
+) -> Measurement:
+    assumed = ["values are scaled to the file's share of reflected or transmitted light"]
+    return measurement(
+        path, "speos", angles, waves, values, metadata | {"scatter": scatter, "form": form}, assumed=assumed
+    )
+
+
+def _anisotropic(path: Path, lines: list[str]) -> list[Measurement]:
+    rest, text = _head(lines)
+    words = iter(" ".join(rest).split())
+    vector = numbers(words, 3)
+    sides, is_bsdf = [int(next(words)), int(next(words))], int(next(words)) == 1
+    grids: dict[str, list[tuple[float, Array]]] = {}
+    for scatter, has in zip(("brdf", "btdf"), sides, strict=True):
+        if has:
+            rotations = axis(words, int(next(words)))
+            grids[scatter] = [(float(turn), axis(words, int(next(words)))) for turn in rotations]
+    spectra = {}
+    for scatter in grids:
+        at = numbers(words, 2)
+        rows = numbers_after_text(words)
+        spectra[scatter] = (at, rows)
+    found = []
+    for scatter, turns in grids.items():
+        (_, spectrum), angles, values = spectra[scatter], [], []
+        for turn, incidences in turns:
+            for at in incidences:
+                block = _blocks(words)
+                pair, value = _measurement(path, "", turn, float(at), block)
+                angles.append(pair)
+                values.append(value)
+        value = np.concatenate(values)
+        theta = np.concatenate(angles)[:, 2]
+        f = value if is_bsdf else _over_cosine(theta, value)
+        share = spectrum[:, 1] / max(float(spectrum[:, 1].max()), 1e-300)
+        metadata = {"title": lines[0].strip(), "description": text, "anisotropy_vector": vector,
+                    "reference_spectrum_percent": spectrum[:, 1], "scatter": scatter}  # fmt: skip
+        assumed = ["the file's spectrum at one direction, relative to its maximum, multiplies all directions"]
+        found.append(measurement(path, "speos", np.concatenate(angles), spectrum[:, 0],
+                                 f[:, None] * share, metadata, assumed=assumed))  # fmt: skip
+    return found
+
+
+def numbers_after_text(words: Iterator[str]) -> Array:
+    """Return a spectrum `[row, 2]`: a description (words), the row count, then wavelength and per cent."""
+    word = next(words)
+    while not word.isdigit():
+        word = next(words)
+    return numbers(words, 2 * int(word)).reshape(-1, 2)
+
+
+def _both_sides(path: Path, lines: list[str]) -> list[Measurement]:
+    """Read a BSDF180: the text of the front's file, then that of the back's."""
+    starts = [i for i, line in enumerate(lines) if i and line.strip().startswith(FIRST)]
+    if len(starts) != 2:
+        raise NacreError(f"{path}: the BSDF180 does not hold two text files; it names or compresses them")
+    ends = [starts[1], len(lines)]
+    found = []
+    for side, start, end in zip(("front", "back"), starts, ends, strict=True):
+        for part in _part(path, lines[start:end]):
+            found.append(Measurement(part.path, "speos", part.kind, part.data, f"{side} {part.name}".strip(),
+                                     dict(part.metadata) | {"side": side}, part.assumed, part.left_out))  # fmt: skip
+    return found

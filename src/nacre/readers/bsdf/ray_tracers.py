@@ -9,8 +9,8 @@ import numpy as np
 
 from nacre.core.arrays import Array, angles_deg
 from nacre.core.errors import NacreError
-from nacre.readers.bsdf.samples import DEGREES, axis, measurement, numbers, pairs_of, read_text, wavelengths_in_nm
-from nacre.readers.bsdf.samples import measurement as as_measurement
+from nacre.readers.bsdf.gonio_table import DEGREES, axis, measurement, numbers, pairs_of, read_text, wavelengths_in_nm
+from nacre.readers.bsdf.gonio_table import measurement as as_measurement
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 

@@ -1,1 +1,1 @@
-"""Readers for colour lists: one module per format."""
+"""Readers for colour lists: by their content."""

@@ -1,1 +1,1 @@
-"""Readers for ellipsometer files: one module per format."""
+"""Readers for ellipsometer files: by their content."""

@@ -1,4 +1,6 @@
-"""Maps of optical profilers and laser microscopes, in formats of makers."""
+"""Maps of optical profilers and laser microscopes, in formats of makers and of ISO 25178."""
+
+from __future__ import annotations
 
 import csv
 import io
@@ -7,14 +9,30 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.readers.hdf5 import HDF5_MAGIC, dataset, opened, text_of
 from nacre.readers.heights import surface
+from nacre.readers.heights.surface import (
+    array,
+    asked_pitch,
+    asked_unit,
+    check_end,
+    check_shape,
+    chosen,
+    decoded,
+    height_map,
+    length_um,
+    numbers,
+    reads,
+)
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
@@ -460,3 +478,294 @@ def read_tmd(path: Path, options: ReadOptions) -> list[Measurement]:
     columns, rows, width, height, _, _ = TMD_HEAD.unpack_from(data, start)
     raw = surface.array(data, "<f4", (rows, columns), start + TMD_HEAD.size)
     return [surface.height_map(path, "tmd", raw.astype(float) * 1e3, (width / columns * 1e3, height / rows * 1e3))]
+
+
+# The exchange formats of ISO 25178: surface data (part 71, .sdf) and X3P (part 72).
+
+# ISO 25178-71 surface data files (.sdf), ASCII and binary; the BCR-STM files before them have the same form.
+
+MAGIC = tuple(side + name for side in (b"a", b"b") for name in (b"ISO-1.0", b"ISO-2.0", b"BCR-1.0"))
+HEAD = "<8s10s12s12s{0}{0}ddddBBB"  # numbers of points and profiles: 16 bits, or 32 in ISO-2.0
+SDF_TYPES = {0: "u1", 1: "<u2", 2: "<u4", 3: "<f4", 4: "i1", 5: "<i2", 6: "<i4", 7: "<f8"}
+
+
+def sniff_sdf(head: FileHead) -> float:
+    """Return 1 for the format's magic."""
+    return CERTAIN if head.data.lstrip().startswith(MAGIC) else 0.0
+
+
+@reads
+def read_sdf(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read one map; scales are in m."""
+    data = path.read_bytes().lstrip()
+    values, fields = _sdf_binary(data) if data[:1] == b"b" else _sdf_ascii(data, path)
+    scale = [float(str(fields[name]).replace(",", ".")) for name in ("Xscale", "Yscale", "Zscale")]
+    if int(fields.get("Compression", 0)) != 0:
+        raise NacreError(f"{path}: is compressed; export it without compression")
+    if not scale[2] > 0:
+        raise NacreError(f"{path}: gives Zscale = {scale[2]:g}; it should be above 0")
+    heights = values.astype(float)
+    heights[np.isin(heights, _holes(np.dtype(SDF_TYPES[int(fields["DataType"])]), data[1:4] == b"BCR"))] = np.nan
+    kept = {k: str(v) for k, v in fields.items() if k in ("ManufacID", "CreateDate", "ModDate")}
+    return [height_map(path, "sdf", heights * scale[2] * 1e6, (scale[0] * 1e6, scale[1] * 1e6), metadata=kept)]
+
+
+def _holes(kind: np.dtype[Any], is_bcr: bool) -> list[float]:
+    """Return a hole's values: the type's least in ISO 25178-71, the largest in BCR-STM, which some mix."""
+    if kind.kind == "f":
+        return [float(np.finfo(kind).min), float(np.finfo(kind).max)]
+    limits = np.iinfo(kind)
+    least = [float(limits.min)] if kind.kind == "i" else []
+    return [*least, float(limits.max)] if is_bcr or kind.kind == "u" else least
+
+
+def _sdf_binary(data: bytes) -> tuple[NDArray[Any], dict[str, Any]]:
+    form = struct.Struct(HEAD.format("I" if data.startswith(b"bISO-2.0") else "H"))
+    _, maker, made, changed, columns, rows, x, y, z, _, compression, kind, _ = form.unpack_from(data)
+    texts = (v.decode("latin-1").strip(" \0") for v in (maker, made, changed))
+    fields = dict(zip(("ManufacID", "CreateDate", "ModDate"), texts))
+    more = {"Xscale": x, "Yscale": y, "Zscale": z, "Compression": compression, "DataType": kind}
+    values = array(data, SDF_TYPES[kind], (rows, columns), form.size)
+    return values, {**fields, **more}
+
+
+def _sdf_ascii(data: bytes, path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
+    head, star, rest = decoded(data).partition("*")
+    if not star:
+        raise ValueError("the end of its head is missing")
+    fields: dict[str, Any] = {}
+    for line in head.splitlines()[1:]:
+        name, equals, value = line.partition("=")
+        if equals:
+            fields[name.strip()] = value.strip()
+    shape = int(fields["NumProfiles"]), int(fields["NumPoints"])
+    check_shape(shape)
+    body, end, _ = rest.partition("*")
+    if not end:
+        check_end(body, path)
+    values = numbers(body, path)
+    if values.size != shape[0] * shape[1]:
+        raise ValueError(f"its head states {shape[0]} x {shape[1]} heights, and {values.size} follow")
+    return values.reshape(shape), fields
+
+
+# X3P files, ISO 25178-72 (ISO 5436-2): a zip with an XML head and a binary matrix, in m.
+
+X3P_TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
+X3P_MAX_BYTES = 4 << 30
+
+
+def sniff_x3p(head: FileHead) -> float:
+    """Return 1 for a zip that holds main.xml."""
+    if not head.data.startswith(b"PK\x03\x04"):
+        return 0.0
+    try:
+        with zipfile.ZipFile(head.path) as archive:
+            return CERTAIN if "main.xml" in archive.namelist() else 0.0
+    except (zipfile.BadZipFile, OSError, ValueError):
+        return 0.0
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> bytes:
+    if archive.getinfo(name).file_size > X3P_MAX_BYTES:
+        raise ValueError(f"{name} is larger than {X3P_MAX_BYTES >> 30} GiB")
+    return archive.read(name)
+
+
+@reads
+def read_x3p(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read one map; undefined points are NaN or named in a mask of bits."""
+    with zipfile.ZipFile(path) as archive:
+        text = _member(archive, "main.xml")
+        if b"<!DOCTYPE" in text or b"<!ENTITY" in text:
+            raise ValueError("its head defines entities")
+        root = ElementTree.fromstring(text)
+        for element in root.iter():  # some writers put the records into the namespace of the standard
+            element.tag = element.tag.rpartition("}")[2]
+
+        def value(place: str, default: str | None = None) -> str:
+            found = root.find(place)
+            if found is None or found.text is None:
+                if default is None:
+                    raise ValueError(f"its head lacks {place}")
+                return default
+            return found.text.strip()
+
+        if value("Record1/FeatureType") not in ("SUR",):
+            raise NacreError(f"{path}: is a {value('Record1/FeatureType')}, no surface; heights are a map")
+        columns, rows = (int(value(f"Record3/MatrixDimension/Size{axis}")) for axis in "XY")
+        check_shape((rows, columns))
+        steps = [float(value(f"Record1/Axes/C{axis}/Increment", "1" if axis == "Z" else None)) for axis in "XYZ"]
+        offset = float(value("Record1/Axes/CZ/Offset", "0"))
+        if root.find("Record3/DataList") is not None:
+            words = "\n".join(d.text or "nan" for d in root.iterfind("Record3/DataList/Datum"))
+            cells = numbers(words.replace(";", " ") + "\n", path).reshape(rows, columns, -1)[..., -1]
+        else:
+            kind = X3P_TYPES[value("Record1/Axes/CZ/DataType")]
+            cells = array(_member(archive, _inside(value("Record3/DataLink/PointDataLink"))), kind, (rows, columns))
+        heights = cells.astype(float) * steps[2] + offset
+        mask = value("Record3/DataLink/ValidPointsLink", "")
+        if mask:
+            bits = np.unpackbits(np.frombuffer(_member(archive, _inside(mask)), "u1"), bitorder="little")
+            heights[bits[: rows * columns].reshape(rows, columns) == 0] = np.nan
+    facts = {"date": value("Record2/Date", ""), "instrument": value("Record2/Instrument/Model", "")}
+    return [height_map(path, "x3p", heights * 1e6, (steps[0] * 1e6, steps[1] * 1e6), metadata=facts)]
+
+
+def _inside(name: str) -> str:
+    return str(PurePosixPath(name.replace("\\", "/"))).lstrip("./")
+
+
+# Zygo's maps: MetroPro binary (.dat) and text, Mx (.datx).
+
+# Zygo MetroPro .dat files: a big-endian head, an intensity image, and the phase.
+
+ZYGO_MAGICS = (b"\x88\x1b\x03\x6f", b"\x88\x1b\x03\x70", b"\x88\x1b\x03\x71")
+HOLE = 2147483640
+PHASES = {0: 4096.0, 1: 32768.0, 2: 131072.0}  # phase units per turn
+INTENSITY, PHASE, ZYGO_SCALE, ZYGO_LATERAL, RESOLUTION, SIGN = 48, 64, 164, 184, 218, 232
+
+
+def sniff_zygo(head: FileHead) -> float:
+    """Return 1 for the format's magics."""
+    return CERTAIN if head.data.startswith(ZYGO_MAGICS) else 0.0
+
+
+@reads
+def read_zygo(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read one map; the lateral resolution may be missing."""
+    data = path.read_bytes()
+    (head_bytes,) = struct.unpack_from(">I", data, 6)
+    _, _, width, height, buckets = struct.unpack_from(">hhHHH", data, INTENSITY)
+    _, _, columns, rows = struct.unpack_from(">hhHH", data, PHASE)
+    factor, wavelength_m, _, obliquity = struct.unpack_from(">4f", data, ZYGO_SCALE)
+    (lateral_m,) = struct.unpack_from(">f", data, ZYGO_LATERAL)
+    (resolution,) = struct.unpack_from(">h", data, RESOLUTION)
+    (sign,) = struct.unpack_from(">h", data, SIGN)
+    raw = array(data, ">i4", (rows, columns), head_bytes + 2 * width * height * buckets)
+    heights = raw.astype(float)
+    heights[raw >= HOLE] = np.nan
+    heights *= factor * obliquity * wavelength_m / PHASES[resolution] * 1e6 * (-1.0 if sign else 1.0)
+    pitch = (lateral_m * 1e6,) * 2 if lateral_m > 0 else asked_pitch(path, options)
+    left = ["intensity image"] if buckets else []
+    return [height_map(path, "zygo", heights, (pitch[0], pitch[1]), left_out=left)]
+
+
+# Zygo MetroPro text: XYZ data (format 1) and ASCII data (format 2), both with a head of 13 or 14 lines.
+#
+# Line 4 is the rectangle of the phase (x, y, width, height), line 8 the scale factor, the wavelength and the distance
+# of the camera's points in m, line 11 begins with the resolution of the phase.
+
+FIRST = re.compile(r"\s*Zygo (XYZ|ASCII) Data File\b")
+PHASE_LINE, OPTICS_LINE, RESOLUTION_LINE = 3, 7, 10
+ZYGO_TEXT_SCALE, WAVELENGTH, OBLIQUITY, CAMERA = 1, 2, 4, 6  # places in line 8
+
+
+def sniff_zygo_text(head: FileHead) -> float:
+    """Return 1 for either format's first line."""
+    return CERTAIN if FIRST.match(head.text[:100].lstrip("\ufeff")) else 0.0
+
+
+@reads
+def read_zygo_text(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read one map; the point distance may be missing.
+
+    Raises:
+        AmbiguousFileError: the file states no distance of its points.
+        NacreError: the head or the data end early.
+    """
+    lines = decoded(path.read_bytes()).lstrip("\ufeff").splitlines()
+    ends = [place for place, line in enumerate(lines) if line.strip() == "#"]
+    is_xyz = "XYZ" in lines[0]
+    if len(ends) < (2 if is_xyz else 3) or ends[0] < RESOLUTION_LINE + 1:
+        raise ValueError("a line # that ends its head, intensities or heights is missing")
+    left, top, columns, rows = (int(float(word)) for word in lines[PHASE_LINE].split()[:4])
+    check_shape((rows, columns))
+    optics = [float(word) for word in lines[OPTICS_LINE].split()[: CAMERA + 1]]
+    assumed, left_out = [], []
+    if is_xyz:
+        heights = _points(lines[ends[0] + 1 : ends[1]], (rows, columns), (left, top))
+        unit = 1.0 if options.unit is None else asked_unit(path, options)
+        heights *= unit
+        if options.unit is None:
+            assumed = ["heights are in um, the unit of Zygo's XYZ format 1"]
+    else:
+        turn = PHASES[int(lines[RESOLUTION_LINE].split()[0])]
+        scale = optics[ZYGO_TEXT_SCALE] * optics[OBLIQUITY] * optics[WAVELENGTH] / turn * 1e6
+        heights = _phase(path, lines[ends[1] + 1 : ends[2]], (rows, columns)) * scale
+        left_out = ["intensity image"] if ends[1] > ends[0] + 1 else []
+    step = optics[CAMERA] * 1e6
+    pitch = (step, step) if step > 0 else asked_pitch(path, options)
+    return [height_map(path, "zygo-text", heights, pitch, assumed=assumed, left_out=left_out)]
+
+
+def _points(lines: list[str], shape: tuple[int, int], origin: tuple[int, int]) -> Array:
+    """Return the values of lines `column row value`; others than numbers, as "No Data", are holes."""
+    heights = np.full(shape, np.nan)
+    found = 0
+    for line in filter(str.strip, lines):
+        words = re.split(r"[\s,;]+", line.strip(), maxsplit=2)
+        column, row = int(words[0]) - origin[0], int(words[1]) - origin[1]
+        if not (0 <= column < shape[1] and 0 <= row < shape[0]):
+            raise ValueError(f"a point at {words[0]}, {words[1]} lies outside of the map")
+        if not words[2].lower().startswith("no"):
+            heights[row, column] = float(words[2])
+        found += 1
+    if found > heights.size:
+        raise ValueError(f"{found} points for {shape[0]} x {shape[1]} places")
+    return heights
+
+
+def _phase(path: Path, lines: list[str], shape: tuple[int, int]) -> Array:
+    values = np.array(" ".join(lines).split(), dtype=float)
+    if values.size != shape[0] * shape[1]:
+        raise NacreError(f"{path}: holds {values.size} phases, and its head states {shape[0]} x {shape[1]}")
+    values[values >= HOLE] = np.nan
+    return values.reshape(shape)
+
+
+# Zygo Mx .datx files: HDF5 with a surface in nm or fringes, and converters from points to lengths.
+
+GROUPS = ("Data/Surface", "Measurement/Surface")
+
+
+def sniff_datx(head: FileHead) -> float:
+    """Return 1 for HDF5 with a surface that has converters of its axes."""
+    is_hdf5 = head.data.startswith(HDF5_MAGIC)
+    return CERTAIN if is_hdf5 and b"Surface" in head.data and b"X Converter" in head.data else 0.0
+
+
+def _scalar(attributes: Any, name: str) -> Any:
+    return np.ravel(attributes[name])[0]
+
+
+@reads
+def read_datx(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read the surfaces; fringes are multiplied by wavelength, scale factor and obliquity."""
+    maps = []
+    with opened(path) as file:
+        for group in GROUPS:
+            for name in sorted(file[group]) if group in file else ():
+                surface = dataset(file, f"{group}/{name}")
+                if surface is not None and surface.ndim == 2:
+                    maps.append(_map(path, surface, name, options))
+    return chosen(path, maps, [], options)
+
+
+def _map(path: Path, surface: Any, name: str, options: ReadOptions) -> Measurement:
+    heights = np.asarray(surface[()], dtype=float)
+    if "No Data" in surface.attrs:
+        heights[heights == float(_scalar(surface.attrs, "No Data"))] = np.nan
+    unit = text_of(_scalar(surface.attrs, "Unit"))
+    factor = length_um(unit)
+    if unit.lower() in ("fringes", "waves"):
+        factor = 1e6 * float(
+            _scalar(surface.attrs, "Wavelength")
+            * (_scalar(surface.attrs, "Interferometric Scale Factor") if unit.lower() == "fringes" else 1.0)
+            * (_scalar(surface.attrs, "Obliquity Factor") if unit.lower() == "fringes" else 1.0)
+        )
+    if factor is None:
+        raise NacreError(f"{path}: its surface is in {unit[:20]}; heights are lengths")
+    steps = [float(np.ravel(_scalar(surface.attrs, f"{axis} Converter")[-1])[1]) * 1e6 for axis in "XY"]
+    pitch = (steps[0], steps[1]) if min(steps) > 0 else asked_pitch(path, options)
+    return height_map(path, "datx", heights * factor, pitch, "" if name.startswith("{") else name)

@@ -1,1 +1,1 @@
-"""Readers for files of spectrometers: one module per maker or format."""
+"""Readers for files of spectrometers: by their content."""

@@ -10,9 +10,8 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.columns import interpret
-from nacre.readers.headings import SPECTRAL_QUANTITIES, degrees, meanings
+from nacre.readers.headings import SPECTRAL_QUANTITIES, degrees, meanings, read_preamble, with_preamble
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
-from nacre.readers.preamble import read_preamble, with_preamble
 from nacre.readers.registry import FileHead
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Block, Label, Notes

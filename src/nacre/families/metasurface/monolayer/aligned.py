@@ -34,7 +34,7 @@ from nacre.families.metasurface.monolayer.monolayer import Monolayer
 from nacre.families.metasurface.monolayer.qca import neighbour_sums_at
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.monolayer.translation_sums import unfolded
-from nacre.families.metasurface.tmatrix.full_tmatrix import (
+from nacre.families.metasurface.tmatrix.axisymmetric import (
     MultipoleIndex,
     multipole_index,
     spread_blocks,

@@ -13,20 +13,23 @@ from functools import cached_property
 import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray
-from nacre.families.metasurface.monolayer.ensemble_ratio import Ratio
-from nacre.families.metasurface.monolayer.ladder import NAME as LADDER
-from nacre.families.metasurface.monolayer.ladder import ORDER as LADDER_ORDER
-from nacre.families.metasurface.monolayer.ladder import Modes
 from nacre.families.metasurface.monolayer.qca import (
     INTERACTION_ORDER,
+    Modes,
     NeighbourTable,
     mean_excitation,
     neighbour_sums_at,
 )
-from nacre.families.metasurface.monolayer.structure import Structure
+from nacre.families.metasurface.monolayer.qca import NAME as LADDER
+from nacre.families.metasurface.monolayer.qca import ORDER as LADDER_ORDER
+from nacre.families.metasurface.monolayer.structure import Ratio, Structure
 from nacre.families.metasurface.monolayer.translation_sums import NeighbourGeometry
-from nacre.families.metasurface.tmatrix.axisymmetric import multipole_order
-from nacre.families.metasurface.tmatrix.full_tmatrix import azimuthal_blocks, multipole_index, spread_blocks
+from nacre.families.metasurface.tmatrix.axisymmetric import (
+    azimuthal_blocks,
+    multipole_index,
+    multipole_order,
+    spread_blocks,
+)
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     Directions,
     ParticleOnStack,

@@ -19,8 +19,15 @@ from numpy.typing import NDArray
 from nacre._version import __version__
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.files import atomic_path
-from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, gain, mirror_signs, reciprocal
-from nacre.families.metasurface.tmatrix.full_tmatrix import condon_shortley_signs, multipole_index, reversed_full
+from nacre.families.metasurface.tmatrix.axisymmetric import (
+    AxialTMatrices,
+    condon_shortley_signs,
+    gain,
+    mirror_signs,
+    multipole_index,
+    reciprocal,
+    reversed_full,
+)
 from nacre.matter.mie import mie_coefficients
 from nacre.readers.hdf5 import (
     MAX_BYTES,

@@ -1,1 +1,0 @@
-"""Colour tables for RGB engines: images and shaders."""

@@ -1,1 +1,0 @@
-"""Readers of optical constants: one module per format."""
