@@ -11,7 +11,7 @@ import pytest
 import nacre
 from nacre.core.parallel import single_threaded_blas
 from nacre.matter.periodic.crossed_solver import solve_fourier
-from nacre.matter.periodic.element_solver import solve_elements
+from nacre.matter.periodic.element_solver import solve_ovals
 from nacre.matter.periodic.lamellar_solver import flat_orders
 from nacre.matter.periodic.solve import difference, method_of, solve_coarse
 from nacre.matter.periodic.structure import Cell, OrderSet, PatternLayer, PeriodicStack, Region, Shape
@@ -45,17 +45,17 @@ def energy(side: OrderSet, other: OrderSet) -> Any:
 @pytest.mark.parametrize("cell", [SQUARE, HEXAGONAL, Cell(330.0, 290.0, 1.4)])
 def test_metal_without_loss_conserves_energy(cell: Cell, radius: float) -> None:
     stack = on_glass(cell, [(disc(radius), -12.0)])
-    assert method_of(stack) == "elements"
-    found = solve_elements(stack, K0, 0.5, 0.7, SMALL)
+    assert method_of(stack) == "ovals"
+    found = solve_ovals(stack, K0, 0.5, 0.7, SMALL)
     np.testing.assert_allclose(energy(found.reflected, found.transmitted), 1.0, rtol=0.0, atol=1e-8)
 
 
 def test_reciprocity_of_orders() -> None:
     stack = on_glass(Cell(700.0, 650.0), [(disc(120.0, 30.0, 10.0), (0.1 + 3.4j) ** 2)])
-    one = solve_elements(stack, K0, 0.4, 0.3, SMALL).reflected
+    one = solve_ovals(stack, K0, 0.4, 0.3, SMALL).reflected
     at = int(np.flatnonzero((one.numbers == [-1, 0]).all(axis=1))[0])
     back = -one.direction[at]
-    other = solve_elements(stack, K0, np.arccos(-back[2]), np.arctan2(back[1], back[0]), SMALL).reflected
+    other = solve_ovals(stack, K0, np.arccos(-back[2]), np.arctan2(back[1], back[0]), SMALL).reflected
     to = int(np.flatnonzero((other.numbers == [-1, 0]).all(axis=1))[0])
     assert one.efficiency[at].sum() > 1e-3
     assert other.efficiency[to].sum() == pytest.approx(one.efficiency[at].sum(), rel=1e-7)
@@ -63,16 +63,16 @@ def test_reciprocity_of_orders() -> None:
 
 def test_equal_materials_are_a_film() -> None:
     patterned, film = on_glass(SQUARE, [(disc(80.0), 2.25 + 1e-9)], 2.25), on_glass(SQUARE, [], 2.25)
-    found = solve_elements(patterned, K0, 0.5, 0.7, SMALL)
+    found = solve_ovals(patterned, K0, 0.5, 0.7, SMALL)
     assert difference(found, flat_orders(film, K0, 0.5, 0.7)) < 2e-3  # the elements' own error, degree 3
-    finer = solve_elements(patterned, K0, 0.5, 0.7, (5, 5, (0.15,)))
+    finer = solve_ovals(patterned, K0, 0.5, 0.7, (5, 5, (0.15,)))
     assert difference(finer, flat_orders(film, K0, 0.5, 0.7)) < 1e-5
 
 
 def test_a_place_turns_the_phases_of_orders_only() -> None:
     cell, silver = Cell(700.0, 700.0), (0.05 + 3.5j) ** 2
     one, other = (
-        solve_elements(on_glass(cell, [(disc(120.0, *at), silver)]), K0, 0.4, 0.3, SMALL).reflected
+        solve_ovals(on_glass(cell, [(disc(120.0, *at), silver)]), K0, 0.4, 0.3, SMALL).reflected
         for at in ((0.0, 0.0), (150.0, -60.0))
     )
     phase = np.exp(-1j * (cell.wave_vectors(one.numbers) @ np.array([150.0, -60.0])))
@@ -83,7 +83,7 @@ def test_a_place_turns_the_phases_of_orders_only() -> None:
 def test_a_turned_ellipse_exchanges_x_and_y() -> None:
     silver = (0.05 + 3.5j) ** 2
     one, other = (
-        solve_elements(
+        solve_ovals(
             on_glass(SQUARE, [(Region(_ellipse(*axes), ("ellipse", 0.0, 0.0, *axes, 0.0)), silver)]),
             K0,
             0.0,
@@ -105,10 +105,10 @@ def test_a_ring_with_a_filled_hole_is_a_disc() -> None:
     ring = Region(lambda x, y: np.abs(np.hypot(x, y) - 70.0) - 30.0, ("ring", 0.0, 0.0, 100.0, 40.0))
     filled = on_glass(SQUARE, [(ring, silver), (disc(40.0), silver)])
     found, expected = (
-        solve_elements(stack, K0, 0.2, 0.1, SMALL) for stack in (filled, on_glass(SQUARE, [(disc(100.0), silver)]))
+        solve_ovals(stack, K0, 0.2, 0.1, SMALL) for stack in (filled, on_glass(SQUARE, [(disc(100.0), silver)]))
     )
     assert difference(found, expected) < 5e-3
-    empty = solve_elements(on_glass(SQUARE, [(ring, silver)]), K0, 0.2, 0.1, SMALL)
+    empty = solve_ovals(on_glass(SQUARE, [(ring, silver)]), K0, 0.2, 0.1, SMALL)
     assert difference(empty, expected) > 0.1
 
 
@@ -130,7 +130,7 @@ def test_a_coarse_solution_of_a_lossy_metal_disc() -> None:
     metal = (3.1 + 3.3j) ** 2
     stack = PeriodicStack(SQUARE, 1.0, (PatternLayer(50.0, 1.0, ((disc(80.0), metal),)),), 1.5)
     found = solve_coarse(stack, 550.0, 0.0, 0.0)
-    assert found.method == "elements"
+    assert found.method == "ovals"
     np.testing.assert_allclose(found.reflected.efficiency, 0.1855, rtol=0.0, atol=2e-3)
     np.testing.assert_allclose(found.transmitted.efficiency, 0.4507, rtol=0.0, atol=4e-3)
 

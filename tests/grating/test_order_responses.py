@@ -13,7 +13,7 @@ from helpers_grating import check_resumed_table
 import nacre
 from nacre.core.parallel import single_threaded_blas
 from nacre.matter.periodic import crossed_solver, order_tables
-from nacre.matter.periodic.element_solver import solve_elements
+from nacre.matter.periodic.element_solver import solve_ovals
 from nacre.matter.periodic.order_responses import (
     LEAST_NODES,
     TAIL,
@@ -76,7 +76,7 @@ def of_fit(fit: Fit, transverse: np.ndarray) -> list[Numbers]:
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_a_response_gives_the_orders_of_the_solver(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # orders are exact in one and elements in the other: a high degree brings them together
-    monkeypatch.setitem(RUNS, "elements", (solve_elements, ((6, 5, (0.15,)),)))
+    monkeypatch.setitem(RUNS, "ovals", (solve_ovals, ((6, 5, (0.15,)),)))
     shape, wavelength, substrate, lattice, step = STRUCTURES[name]
     stack = stack_of({"material": "Si"} | shape, wavelength, substrate, lattice)
     theta, phi = 0.9, 2.0  # beyond the cell of the reciprocal lattice for the lines

@@ -228,7 +228,7 @@ def _made(
     return basis, _layers(stack, walls, basis, k0)
 
 
-def solve_elements(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, step: Elements) -> OrderSolution:
+def solve_ovals(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, step: Elements) -> OrderSolution:
     """Return the orders of layers with nested ovals about one centre."""
     transverse, _, _ = incident_wave(stack, theta_rad, phi_rad)
     basis, layers = _made(stack, k0, transverse, step)
@@ -242,10 +242,10 @@ def solve_elements(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: f
         numbers, _ = propagating(stack, k0, transverse, index)
         sides.append({(int(m), int(n)): basis.channel(places[int(m), int(n)]).T @ e for m, n in numbers})
     answer = Answer(sides[0], sides[1], len(basis.squared))
-    return joined_answers(stack, k0, theta_rad, phi_rad, [answer], "elements")
+    return joined_answers(stack, k0, theta_rad, phi_rad, [answer], "ovals")
 
 
-def element_response(
+def oval_response(
     stack: PeriodicStack, k0: float, transverse: Array, step: Elements, upper: Array, lower: Array
 ) -> Array:  # fmt: skip
     """Return the response (`order_responses`) of layers with nested ovals about one centre."""
