@@ -11,10 +11,11 @@ import pytest
 import nacre
 from nacre.core.parallel import single_threaded_blas
 from nacre.matter.periodic.crossed_solver import solve_fourier
-from nacre.matter.periodic.element_solver import solve_ovals
+from nacre.matter.periodic.element_mesh import Oval, edge_count
+from nacre.matter.periodic.element_solver import ELEMENT_STEPS, SEVERAL_WALLS, solve_ovals
 from nacre.matter.periodic.lamellar_solver import flat_orders
 from nacre.matter.periodic.solve import difference, method_of, solve_coarse
-from nacre.matter.periodic.structure import Cell, OrderSet, PatternLayer, PeriodicStack, Region, Shape
+from nacre.matter.periodic.structure import MAX_UNKNOWNS, Cell, OrderSet, PatternLayer, PeriodicStack, Region, Shape
 
 SMALL = (3, 3, (0.15,))
 K0 = 2.0 * np.pi / 550.0
@@ -147,3 +148,10 @@ def test_a_lossy_metal_disc_agrees_with_fourier_series() -> None:
     series = solve_fourier(stack, K0, 0.0, 0.0, 17)
     assert abs(found.reflected[0, 0, 0] - series.reflected.efficiency[0]).max() < float(found.error.max()) + 1e-3
     assert abs(found.transmitted[0, 0, 0] - series.transmitted.efficiency[0]).max() < float(found.error.max()) + 1e-3
+
+
+def test_each_size_for_two_walls_is_allowed() -> None:
+    walls = (Oval(0.0, 0.0, 40.0, 40.0), Oval(0.0, 0.0, 100.0, 100.0))
+    assert len(SEVERAL_WALLS) == len(ELEMENT_STEPS)
+    assert all(edge_count(SQUARE, walls, size) <= MAX_UNKNOWNS for size in SEVERAL_WALLS)
+    assert all(edge_count(SQUARE, walls[:1], size) <= MAX_UNKNOWNS for size in ELEMENT_STEPS)

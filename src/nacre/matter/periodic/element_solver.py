@@ -42,8 +42,11 @@ from nacre.matter.periodic.types import Array
 ELEMENT_STEPS: tuple[Elements, ...] = (
     (4, 3, (0.15, 0.015, 0.0015)), (5, 3, (0.15, 0.0225, 0.0034, 0.0005)), (6, 4, (0.15, 0.0225, 0.0034, 0.0005)),
 )  # fmt: skip
+SEVERAL_WALLS: tuple[Elements, ...] = (
+    (4, 3, (0.15, 0.01)), (5, 3, (0.15, 0.015, 0.0015)), (6, 4, (0.15, 0.01)),
+)  # fmt: skip
 BEYOND = 1.3  # orders with a wave number up to this times the largest that propagates are exact
-MOST_WALLS = 3
+MOST_WALLS = 2
 GAP = 1e-2  # least distance of walls from each other and from the cell's sides, over the radius
 
 
@@ -216,6 +219,8 @@ def _made(
     """Return the functions, with the orders `least` among them, and the layers."""
     cell, walls = stack.cell, ovals(stack)
     assert cell.period_y is not None
+    if len(walls) > 1 and step in ELEMENT_STEPS:
+        step = SEVERAL_WALLS[ELEMENT_STEPS.index(step)]
     turns = 0.5 * max(cell.period_x, cell.period_y) * stack.reach * k0
     more = max(int(np.ceil(0.5 * turns)) - 2, 0)
     elements = step[0] + more, step[1] + more, step[2]
