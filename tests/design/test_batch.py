@@ -59,6 +59,7 @@ def test_unsuitable_batch_targets_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "o").exists()
 
 
+@pytest.mark.full
 def test_reliefs_are_designed_for_each_colour_of_a_list(tmp_path: Path) -> None:
     labs = [(40.0, 10.0, -20.0), (50.0, 0.0, 0.0)]
     found = nacre.design.many(RELIEF, labs, tmp_path / "o", workers=Workers(1))

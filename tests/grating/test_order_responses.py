@@ -13,6 +13,7 @@ from helpers_grating import check_resumed_table
 import nacre
 from nacre.core.parallel import single_threaded_blas
 from nacre.matter.periodic import crossed_solver, order_tables
+from nacre.matter.periodic.element_solver import solve_ovals
 from nacre.matter.periodic.order_responses import (
     LEAST_NODES,
     TAIL,
@@ -25,7 +26,7 @@ from nacre.matter.periodic.order_responses import (
     responses,
     solved_nodes,
 )
-from nacre.matter.periodic.solve import difference, solve_coarse
+from nacre.matter.periodic.solve import RUNS, difference, solve_coarse
 from nacre.matter.periodic.structure import Cell, OrderSolution, PatternLayer, PeriodicStack, Rectangle
 
 Numbers = dict[tuple[int, int], float]
@@ -46,13 +47,15 @@ def stack_of(shape: dict[str, Any], wavelength_nm: float, substrate: Any, lattic
     return model.stacks(np.array([wavelength_nm]))[0]  # type: ignore[no-any-return]
 
 
-STRUCTURES = {
+STRUCTURES: dict[str, tuple[dict[str, Any], float, Any, dict[str, Any], int]] = {
     # shape, wavelength in nm, substrate, lattice, size; tensor products take more plane waves, which moves their error
     "lines": ({"shape": "line", "width_nm": 230, "center_nm": [20, 0]}, 520.0, {"n": 1.5}, {"period_nm": 600}, 0),
     "finer lines": ({"shape": "line", "width_nm": 230}, 520.0, "Al", {"period_nm": 600}, 1),
     "rectangles": ({"shape": "rectangle", "width_nm": 150, "length_nm": 120}, 650.0, {"n": 1.5}, {"period_nm": 300}, 0),
     "discs": ({"shape": "disc", "diameter_nm": 150}, 650.0, "glass",
               {"period_nm": 320, "kind": "hexagonal"}, 0),
+    "metal discs": ({"shape": "disc", "diameter_nm": 150, "material": "Ag"}, 650.0, "glass",
+                    {"period_nm": 320, "kind": "hexagonal"}, 0),
 }  # fmt: skip
 
 
@@ -71,7 +74,9 @@ def of_fit(fit: Fit, transverse: np.ndarray) -> list[Numbers]:
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
-def test_a_response_gives_the_orders_of_the_solver(name: str) -> None:
+def test_a_response_gives_the_orders_of_the_solver(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # orders are exact in one and elements in the other: a high degree brings them together
+    monkeypatch.setitem(RUNS, "ovals", (solve_ovals, ((6, 5, (0.15,)),)))
     shape, wavelength, substrate, lattice, step = STRUCTURES[name]
     stack = stack_of({"material": "Si"} | shape, wavelength, substrate, lattice)
     theta, phi = 0.9, 2.0  # beyond the cell of the reciprocal lattice for the lines
@@ -81,7 +86,7 @@ def test_a_response_gives_the_orders_of_the_solver(name: str) -> None:
     inside = transverse - np.rint(transverse @ inverse) @ channels.lattice
     fit = Fit(channels, responses(channels, inside[None], step)[None])
     exact = both_sides(solve_coarse(stack, wavelength, theta, phi, step))
-    allowed = 1e-8 if name in ("lines", "discs") else 1e-3
+    allowed = 1e-8 if name in ("lines", "discs") else 3e-4 if name == "metal discs" else 1e-3
     for found, expected in zip(of_fit(fit, transverse), exact, strict=True):
         assert set(found) == {number for number, value in expected.items() if value > 0.0}
         assert all(abs(found[number] - expected[number]) < allowed for number in found)

@@ -77,11 +77,6 @@ def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], so
         )
 
 
-__all__ = ["check_limits", "total_thickness_nm"]
-
-
-# Reading a target: a file or dictionary becomes a checked task.
-
 OTHER = "other"  # in bounds by material: all that are not named
 
 

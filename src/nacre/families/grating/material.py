@@ -26,7 +26,7 @@ from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.periodic.order_tables import OrderTables, in_common, order_tables
 from nacre.matter.periodic.orders import Orders, coarse_orders, solve_orders
 from nacre.matter.periodic.slices import COARSE, Wall, sliced
-from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Region, Shape
+from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Rectangle, Region, Shape
 
 MIRROR_NODES = 129
 NODE_RATIO = 0.12  # of neighbouring nodes of a period, at least
@@ -128,16 +128,26 @@ class Grating(Diffracting, Pixels, Fabricable):
         inner = [[material.n_complex(lam) ** 2 for _, material, _ in layer.shapes] for layer in self.layers]
         is_sloped = any(not wall.is_vertical for layer in self.layers for _, _, wall in layer.shapes)
 
+        is_straight = is_sloped and self.cell.period_y is None and all(
+            isinstance(shape, Rectangle) and wall.rounding_nm == 0.0
+            for layer in self.layers for shape, _, wall in layer.shapes
+        )  # fmt: skip
+
         def made(k: int, count: int) -> PeriodicStack:
             layers: list[PatternLayer] = []
+            tilted: list[tuple[PatternLayer, tuple[float, ...]]] = []
             for layer, ground, values in zip(self.layers, grounds, inner, strict=True):
                 shapes = [
                     (shape, complex(e[k]), wall) for (shape, _, wall), e in zip(layer.shapes, values, strict=True)
                 ]  # fmt: skip
                 layers += sliced(layer.thickness_nm, complex(ground[k]), shapes, count)
+                whole = PatternLayer(layer.thickness_nm, complex(ground[k]), tuple((s, e) for s, e, _ in shapes))
+                insets = (float(wall.insets(layer.thickness_nm, np.zeros(1))[0]) for _, _, wall in shapes)
+                tilted.append((whole, tuple(insets)))
             refined = partial(made, k) if is_sloped and count == COARSE else None
             return PeriodicStack(
-                self.cell, float(cover[k]), tuple(layers), complex(substrate[k]), self.profile, refined
+                self.cell, float(cover[k]), tuple(layers), complex(substrate[k]), self.profile, refined,
+                tuple(tilted) if is_straight and count == COARSE else None,
             )  # fmt: skip
 
         return [made(k, COARSE) for k in range(len(lam))]

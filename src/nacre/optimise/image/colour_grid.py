@@ -128,7 +128,7 @@ class Palette:
     """
 
     sampler: ColourSampler
-    evaluations: int | None = None
+    evaluations: float | None = None
     solved: list[list[float]] = field(default_factory=list)
     on_progress: Callable[[int], None] = lambda count: None
     is_interrupted: Callable[[], bool] = lambda: False
@@ -137,7 +137,7 @@ class Palette:
     used: int = 0
 
     @functools.cached_property
-    def limit(self) -> int:
+    def limit(self) -> float:
         """Budget."""
         count = len(self.sampler.parameters)
         default = MAX_NODES[count] ** count if self.sampler.is_batched else DEFAULT_EVALUATIONS[count]
