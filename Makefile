@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PY := .venv/bin/python
 export NACRE_PROJECT := $(CURDIR)
 
-.PHONY: setup demo test test-full test-lowest coverage mutants fuzz lint docs bench validate wheel release clean
+.PHONY: setup demo test test-full test-gpu test-lowest coverage mutants fuzz lint style docs bench validate wheel release clean
 
 setup:
 	@bash tools/setup.sh
@@ -11,8 +11,11 @@ setup:
 demo: setup
 	@$(PY) -m nacre demo $(if $(QUICK),--quick) $(if $(OUT),--out $(OUT))
 
-test: setup lint
-	@$(PY) -m pytest -q -m "not full and not gpu" -n 2 --dist worksteal
+# types are checked beside the tests; both must pass
+test: setup style
+	@log=$$(mktemp); $(PY) -m mypy >$$log 2>&1 & types=$$!; \
+	$(PY) -m pytest -q -m "not full and not gpu" -n 2 --dist worksteal; tests=$$?; \
+	wait $$types; types=$$?; cat $$log; rm -f $$log; exit $$((tests | types))
 
 test-full: setup
 	@$(PY) -m pytest -q -m "full and not gpu" -n 2 --dist worksteal --durations=25
@@ -20,6 +23,12 @@ test-full: setup
 # a part of the tests with the lowest allowed versions of all dependencies, in an environment of its own
 test-lowest:
 	@bash tools/test_lowest.sh
+
+# the tests of the device on an NVIDIA GPU; those of single families too
+test-gpu: setup
+	@NACRE_VARIANT=cuda_ad_spectral $(PY) -m pytest -q -m "(render or gpu) and not full" -n 2 --dist worksteal \
+	  tests/render_plugins tests/film tests/blend tests/pearl tests/metasurface tests/relief tests/glass tests/grating \
+	  tests/render_scenes/test_pictures.py tests/render_scenes/test_polarised_pictures.py tests/render_scenes/test_paths.py
 
 # lines of src/nacre that the quick suite reaches, in all its processes; fails below the bar of pyproject.toml
 coverage: setup
@@ -36,11 +45,13 @@ mutants: setup
 fuzz: setup
 	@$(PY) -m tools.fuzz $(if $(COUNT),--count $(COUNT)) $(if $(SEED),--seed $(SEED)) $(if $(AGAIN),--again)
 
-lint: setup
+lint: style
+	@$(PY) -m mypy
+
+style: setup
 	@$(PY) -m ruff check src tests benchmarks validation tools examples
 	@$(PY) -m ruff check --select C901,PLR0913 src
 	@$(PY) -m ruff format --check src tests benchmarks validation tools examples
-	@$(PY) -m mypy
 
 bench validate: export NACRE_CACHE = off
 # what validation measures is raw; a benchmark takes pictures as users get them

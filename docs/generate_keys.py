@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nacre.cli.machine import (Kind, SHARED, default_text, kind, kind_names, value_text)
+from nacre.cli.keys import SHARED, Kind, default_text, kind, kind_names, value_text
 from nacre.recipe.keys import keys_of, tables_below
 from nacre.recipe.model import RecipeModel
 

@@ -24,7 +24,7 @@ from scipy.optimize import nnls
 
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
-from nacre.formats.calibration import PUBLISHED_CALIBRATION, Calibration
+from nacre.formats.layouts import PUBLISHED_CALIBRATION, Calibration
 from nacre.formats.number_maps import write_png16_rows
 from nacre.optimise.relief.merit import measure_design
 from nacre.optimise.relief.search import ReliefSearch

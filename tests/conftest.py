@@ -1,8 +1,8 @@
 """What all tests share: threads, and what becomes of tests whose machinery this machine lacks.
 
-Tests marked `render` need Mitsuba with a working LLVM. Without one they do not run, and the session then FAILS
-with one line that says why: a picture that nobody checked must not look like a pass. Tests marked `gpu` skip
-where there is no NVIDIA GPU.
+Tests marked `render` need Mitsuba with a working LLVM, or a GPU where `NACRE_VARIANT=cuda_ad_spectral` makes them
+run on it (`make test-gpu`). Without one they do not run, and the session then FAILS with one line that says why: a
+picture that nobody checked must not look like a pass. Tests marked `gpu` skip where there is no NVIDIA GPU.
 """
 
 from __future__ import annotations
@@ -83,11 +83,12 @@ def pytest_collection_finish() -> None:
 def _why_no_render() -> str:
     if "render" not in _why:
         from nacre.core.errors import NacreError
-        from nacre.device.variant import import_mitsuba, llvm_failure
+        from nacre.device.variant import cuda_failure, import_mitsuba, llvm_failure
 
         try:
             import_mitsuba()
-            _why["render"] = llvm_failure()
+            on_gpu = os.environ.get("NACRE_VARIANT", "").startswith("cuda")
+            _why["render"] = cuda_failure() if on_gpu else llvm_failure()
         except NacreError as error:
             _why["render"] = str(error)
     return _why["render"]
@@ -150,7 +151,9 @@ def _empty_cache(_cache_of_the_session: Path, monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.fixture(scope="session")
 def mi() -> Iterator[Any]:
-    """Return mitsuba in `llvm_ad_spectral`, with the `nacre` plugin registered; for tests marked `render`."""
-    import nacre.render  # registers the `nacre` plugin with every variant
+    """Return mitsuba in the tested variant, with the `nacre` plugin registered; for tests marked `render`."""
+    from tested_variant import use_tested_variant
 
-    yield nacre.render.use_variant("llvm_ad_spectral")
+    import nacre.render  # noqa: F401 - registers the `nacre` plugin with every variant
+
+    yield use_tested_variant()

@@ -295,7 +295,9 @@ def test_tolerance(both: Both) -> None:
 @families("pearl", "metasurface", "relief", "blend", "grating")
 @pytest.mark.render
 def test_fit(both: Both) -> None:
-    rows = "".join(f"{w:g},0,{v}\n" for w, v in ((400, 0.2), (700, 0.3)))
+    # of a relief near what it sends out, where the fit ends after few of its expensive trials
+    seen = (0.923, 0.897) if both.recipe.stem == "relief" else (0.2, 0.3)
+    rows = "".join(f"{w:g},0,{v}\n" for w, v in zip((400, 700), seen, strict=True))
     column = "specular_reflectance" if both.recipe.stem in ("film", "metasurface", "blend") else "diffuse_reflectance"
     (both.recipe.parent / "seen.csv").write_text(f"wavelength_nm,angle_deg,{column}\n{rows}")
     arguments = ["fit", "seen.csv", str(both.recipe), "--starts", "1", "--samples", str(SAMPLES), "--intervals",

@@ -34,10 +34,9 @@ from nacre.families.metasurface.ensemble.supercells import (
 )
 from nacre.families.metasurface.monolayer.arrangement import Arrangement, Pattern
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
-from nacre.families.metasurface.monolayer.ensemble_ratio import Block, Pairs, Ratio, Sums, block_sums
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.qca import NAME as LADDER
-from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.monolayer.structure import Block, Pairs, Ratio, Sums, block_sums, hard_disk_structure
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.mie import mie_coefficients

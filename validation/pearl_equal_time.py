@@ -83,7 +83,7 @@ class Sphere:
     def __init__(self, light: str) -> None:
         from nacre.device.variant import use_variant
         from nacre.picture.built_scene import BuiltScene
-        from nacre.picture.lights.named import make_light
+        from nacre.picture.lights.emitter_plugins import make_light
         from nacre.picture.scenes.catalogue import SCENES, Part, Scene
 
         self.mi = use_variant()

@@ -28,7 +28,7 @@ def test_a_stepped_texture_is_the_pixel_to_its_edge_with_the_first_row_on_top() 
 
 @pytest.mark.render
 def test_the_device_steps_where_numpy_does(mi) -> None:  # type: ignore[no-untyped-def]  # mitsuba has no types
-    from nacre.device.texture import DeviceTexture
+    from nacre.device.tables import DeviceTexture
 
     uv = np.random.default_rng(4).uniform(-1.0, 2.0, (4000, 2))
     # single precision may put what lies on an edge to its other side

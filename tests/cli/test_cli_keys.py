@@ -15,7 +15,7 @@ from helpers_recipes import write_companions
 
 import nacre
 from nacre.cli import run
-from nacre.cli.machine import SHARED, kind, kind_names
+from nacre.cli.keys import SHARED, kind, kind_names
 from nacre.core.errors import NacreError
 from nacre.families.registry import family_names
 from nacre.recipe.keys import keys_of, tables_below

@@ -4,7 +4,8 @@ import click
 import pytest
 
 from nacre.cli import common, run
-from nacre.core import parallel
+from nacre.core import jobs, parallel
+from nacre.core.progress import on_progress
 
 
 @pytest.fixture
@@ -70,3 +71,15 @@ def test_without_a_terminal_long_work_reports_progress_in_lines(monkeypatch, cap
         rest = "70 seconds left" if share == 1.0 else "14 seconds left on free cores, 70 seconds as busy as it is"
         assert reported[0] == f"3 of 10 patterns, about {rest}"
     assert parallel._progress_listeners == watchers
+
+
+@pytest.mark.parametrize(("least", "expected"), [(-1.0, 1), (1e9, 0)])
+def test_described_work_is_announced_once_if_the_rest_takes_long(monkeypatch, least, expected):
+    monkeypatch.setattr(jobs, "ANNOUNCED_S", least)
+    heard = []
+    with on_progress(lambda what, seconds: heard.append(seconds)):
+        assert jobs.in_workers(lambda item: 2 * item, range(20), description="numbers") == list(range(0, 40, 2))
+        assert len(heard) == expected
+        jobs.in_workers(lambda item: item, range(20))
+        jobs.in_workers(lambda item: item, [], description="nothing")
+    assert len(heard) == expected

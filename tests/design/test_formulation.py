@@ -11,7 +11,7 @@ import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.core.errors import NacreError
+from nacre.core.errors import NacreError, RecipeError
 from nacre.families.contract import surrogate_radiance
 from nacre.measure.geometry import aspecular_pairs
 from nacre.optimise.formulation import (
@@ -19,6 +19,7 @@ from nacre.optimise.formulation import (
     Formulation,
     Task,
     check_answers,
+    formulate,
     read_formulation,
     rematch,
     write_formulation,
@@ -196,3 +197,52 @@ def test_a_folder_with_a_foreign_recipe_is_refused_before_the_search(
     assert not (tmp_path / "own" / "formulation.json").exists()
     with pytest.raises(NacreError):
         check_answers(tmp_path / "door.toml")  # a file
+
+
+def few(**search: Any) -> dict[str, Any]:
+    """A small search: three combinations, two geometries."""
+    data = target([[60, 4, -20], [30, 2, -8]])
+    data["library"] = {**LIBRARY, "pigment": LIBRARY["pigment"][1:]}
+    return data | {"search": {"solutions": 1, "max_pigments": 1, "seconds": 600, **search}}
+
+
+@pytest.mark.full
+def test_a_stopped_formulation_resumes_to_the_same_answer(tmp_path: Path) -> None:
+    whole: list[int] = []
+    reference = formulate(few(), tmp_path / "whole", lambda done, *_: whole.append(done))
+
+    def stop(done: int, *_: Any) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    stopped = formulate(few(), tmp_path / "door", stop)
+    assert stopped.status == "interrupted" and (tmp_path / "door" / "recipe.toml").is_file()
+    known = json.loads((tmp_path / "door" / "search.json").read_text())["solutions"]
+    assert len(known) == 2
+    resumed = formulate(few(), tmp_path / "door", resume=True)
+    assert resumed.status == reference.status == "done"
+    assert resumed.formulas[0].amounts == reference.formulas[0].amounts
+    state = [json.loads((tmp_path / name / "search.json").read_text())["solutions"] for name in ("door", "whole")]
+    assert state[0] == state[1] and len(state[1]) == len(whole) and state[0][:2] == known
+    assert json.loads((tmp_path / "door" / "formulation.json").read_text())["status"] == "done"
+
+
+@pytest.mark.full
+def test_evaluations_limit_a_formulation() -> None:
+    found = [formulate(few(evaluations=4)) for _ in range(2)]
+    assert {each.status for each in found} == {"evaluations"} and {each.combinations for each in found} == {2}
+    assert found[0].formulas[0].amounts == found[1].formulas[0].amounts
+
+
+def test_the_state_of_another_formulation_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "door").mkdir()
+    state = {"target": "another", "runs": 1, "solutions": []}
+    (tmp_path / "door" / "search.json").write_text(json.dumps(state))
+    with pytest.raises(RecipeError, match="another target"):
+        formulate(few(), tmp_path / "door", resume=True)
+    state |= {"target": read_formulation(few()).fingerprint, "solutions": [{"stage": 0}]}
+    (tmp_path / "door" / "search.json").write_text(json.dumps(state))
+    with pytest.raises(NacreError, match="cannot be read"):
+        formulate(few(), tmp_path / "door", resume=True)
+    (tmp_path / "door.toml").write_text(dump_toml(few()))
+    assert run(["formulate", str(tmp_path / "door.toml"), "-o", str(tmp_path / "door"), "--resume"]) == 2

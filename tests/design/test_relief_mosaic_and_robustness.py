@@ -13,7 +13,7 @@ from read_back import read_grey16
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.plane_cut import CutGeometry
-from nacre.formats.calibration import PUBLISHED_CALIBRATION
+from nacre.formats.layouts import PUBLISHED_CALIBRATION
 from nacre.optimise.relief.merit import Problem, View, published_weights
 from nacre.optimise.relief.report import robustness
 

@@ -19,7 +19,9 @@ SRC = Path(nacre.__file__).parent
 def _modules() -> list[str]:
     names = [module.name for module in pkgutil.walk_packages([str(SRC)], "nacre.", onerror=lambda _: None)]
     files = {name: SRC.joinpath(*name.split(".")[1:]) for name in names}
-    paths = {name: path / "__init__.py" if path.is_dir() else path.with_suffix(".py") for name, path in files.items()}
+    # a folder of a package that is now a module may still hold compiled files
+    both = {name: (path.with_suffix(".py"), path / "__init__.py") for name, path in files.items()}
+    paths = {name: file if file.is_file() else package for name, (file, package) in both.items()}
     return [name for name, path in paths.items() if ">>> " in path.read_text(encoding="utf-8")]
 
 

@@ -23,7 +23,7 @@ def keys() -> ModuleType:
 
 
 def test_every_key_of_every_kind_of_file_is_listed_with_its_meaning(keys: ModuleType) -> None:
-    from nacre.cli.machine import kind, kind_names
+    from nacre.cli.keys import kind, kind_names
     from nacre.recipe.keys import keys_of, tables_below
 
     page = keys.page()

@@ -264,3 +264,13 @@ def test_light_that_crosses_a_clear_body_has_the_colour_of_both_films() -> None:
             pictures[f"through{end}"].values if f"through{end}" in pictures else 0
         )
         np.testing.assert_allclose(total, 1.0, atol=2e-3)
+
+
+def test_each_side_of_a_refracting_closure_has_the_index_of_the_medium_beyond() -> None:
+    from nacre.formats.lut import Closure, _closure_lines
+
+    picture = types.SimpleNamespace(rows="p", values=np.zeros((1, 2, 3, 3)))
+    table: Any = types.SimpleNamespace(pictures={"front": picture, "behind": picture})
+    front, behind = _closure_lines(table, Closure("refract", "front", "behind", "ggx", (0.2, 0.2), 1.5)).splitlines()
+    assert '"front.exr"' in front and float(front.split(", ")[-2]) == 1.5
+    assert '"behind.exr"' in behind and float(behind.split(", ")[-2]) == pytest.approx(1 / 1.5)

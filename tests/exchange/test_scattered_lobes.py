@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 import nacre
 from nacre.core.arrays import direction
-from nacre.measure.gloss import ALPHAS, fit_gloss, fit_lobes
+from nacre.measure.colours import ALPHAS, fit_gloss, fit_lobes
 
 Values = NDArray[np.float64]
 THETA = np.radians([0.0, 30.0, 60.0, 80.0])

@@ -19,7 +19,7 @@ from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Tile
-from nacre.formats.calibration import PUBLISHED_CALIBRATION, read_calibration
+from nacre.formats.layouts import PUBLISHED_CALIBRATION, read_calibration
 from nacre.formats.number_maps import write_png16, write_tiff16
 from nacre.matter.indices.library import index
 
@@ -317,3 +317,12 @@ def test_klayout_counts_the_particles_of_split_arrays(tmp_path: Path) -> None:
         layout.read(str(tmp_path / name))
         arrays = [each.na * each.nb for cell in layout.each_cell() for each in cell.each_inst() if each.na]
         assert sum(arrays) == 80_000
+
+
+def test_a_tiff_of_several_tiles_holds_the_pattern(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from nacre.formats import number_maps
+
+    monkeypatch.setattr(number_maps, "TIFF_TILE", 16)
+    grey = np.random.default_rng(3).integers(0, 1 << 16, (37, 50)).astype(np.uint16)
+    write_tiff16(tmp_path / "a.tif", grey, {}, 0.5)
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.tif")), grey)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers_grating import check_resumed_table
 
 import nacre
 from nacre.bsdf.bsdf import Bsdf
@@ -15,7 +16,6 @@ from nacre.bsdf.lobes.orders import OrdersLobe
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 from nacre.cli import run
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
-from nacre.matter.periodic import order_tables
 
 LINES = {"shape": "line", "material": {"n": 1.5}, "width_nm": 800}
 DISC: dict[str, Any] = {
@@ -393,32 +393,33 @@ def test_a_material_is_stored_and_loaded(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_table_resumes_at_the_next_angle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NACRE_CACHE", str(tmp_path))
-    monkeypatch.setattr(order_tables, "MIN_STORED_S", 0.0)
-    monkeypatch.setattr(order_tables, "MIN_PART_S", 0.0)
     made = {
         "family": "grating", "substrate": "Al", "profile": {"shape": "sinusoidal", "depth_nm": 80},
         "lattice": {"period_nm": 600},
     }  # fmt: skip
     lam = np.array([600.0])
     stacks = nacre.load(made).model.stacks(lam)
-    solve, solved, limit = order_tables.solve_many, [], 120.0
+    check_resumed_table(monkeypatch, tmp_path, "solve_many", stacks, lam, 4)
 
-    def counted(cases: Any, step: int = 0) -> Any:
-        if len(solved) >= limit:
-            raise KeyboardInterrupt
-        solved.extend(cases)
-        return solve(cases, step)
 
-    monkeypatch.setattr(order_tables, "solve_many", counted)
-    with pytest.raises(KeyboardInterrupt):
-        order_tables.order_tables(stacks, lam, None)
-    limit, again = np.inf, len(solved)
-    resumed = order_tables.order_tables(stacks, lam, None)
-    again = len(solved) - again
-    monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "other"))
-    solved.clear()
-    whole = order_tables.order_tables(stacks, lam, None)
-    assert again < len(solved)  # complete angles are not solved again
-    assert np.array_equal(resumed.reflected, whole.reflected)
-    assert np.array_equal(resumed.mirror, whole.mirror)
+@pytest.mark.parametrize(("row", "height"), [(9, "oops"), (20, 20_000.0)])
+def test_a_table_of_heights_with_a_gap_or_a_wall_is_refused(tmp_path: Path, row: int, height: Any) -> None:
+    x = np.linspace(0.0, 600.0, 61)
+    z: list[Any] = (40 * np.cos(2 * np.pi * x / 600)).tolist()
+    made = {"family": "grating", "substrate": "Al", "lattice": {"period_nm": 600}}
+    made["profile"] = {"shape": "file", "heights": "heights.csv"}
+    for values in (z, [*z[:row], height, *z[row + 1 :]]):
+        lines = ["# x, z", *(f"{a},{b}" for a, b in zip(x, values, strict=True)), "# end"]
+        (tmp_path / "heights.csv").write_text("\n".join(lines))
+        if values is z:
+            nacre.material(made, tmp_path)
+    with pytest.raises(RecipeError):
+        nacre.material(made, tmp_path)
+
+
+def test_a_gds_without_a_cell_is_refused(tmp_path: Path) -> None:
+    import gdstk
+
+    gdstk.Library().write_gds(tmp_path / "cell.gds")
+    with pytest.raises(RecipeError):
+        nacre.material(DISC | layers({"gds": "cell.gds"}), tmp_path)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers_grating import check_resumed_table
 
 import nacre
 from nacre.core.parallel import single_threaded_blas
 from nacre.matter.periodic import crossed_solver, order_tables
+from nacre.matter.periodic.element_solver import solve_ovals
 from nacre.matter.periodic.order_responses import (
     LEAST_NODES,
     TAIL,
@@ -23,7 +26,7 @@ from nacre.matter.periodic.order_responses import (
     responses,
     solved_nodes,
 )
-from nacre.matter.periodic.solve import difference, solve_coarse
+from nacre.matter.periodic.solve import RUNS, difference, solve_coarse
 from nacre.matter.periodic.structure import Cell, OrderSolution, PatternLayer, PeriodicStack, Rectangle
 
 Numbers = dict[tuple[int, int], float]
@@ -44,13 +47,15 @@ def stack_of(shape: dict[str, Any], wavelength_nm: float, substrate: Any, lattic
     return model.stacks(np.array([wavelength_nm]))[0]  # type: ignore[no-any-return]
 
 
-STRUCTURES = {
+STRUCTURES: dict[str, tuple[dict[str, Any], float, Any, dict[str, Any], int]] = {
     # shape, wavelength in nm, substrate, lattice, size; tensor products take more plane waves, which moves their error
     "lines": ({"shape": "line", "width_nm": 230, "center_nm": [20, 0]}, 520.0, {"n": 1.5}, {"period_nm": 600}, 0),
     "finer lines": ({"shape": "line", "width_nm": 230}, 520.0, "Al", {"period_nm": 600}, 1),
     "rectangles": ({"shape": "rectangle", "width_nm": 150, "length_nm": 120}, 650.0, {"n": 1.5}, {"period_nm": 300}, 0),
     "discs": ({"shape": "disc", "diameter_nm": 150}, 650.0, "glass",
               {"period_nm": 320, "kind": "hexagonal"}, 0),
+    "metal discs": ({"shape": "disc", "diameter_nm": 150, "material": "Ag"}, 650.0, "glass",
+                    {"period_nm": 320, "kind": "hexagonal"}, 0),
 }  # fmt: skip
 
 
@@ -69,7 +74,9 @@ def of_fit(fit: Fit, transverse: np.ndarray) -> list[Numbers]:
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
-def test_a_response_gives_the_orders_of_the_solver(name: str) -> None:
+def test_a_response_gives_the_orders_of_the_solver(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # orders are exact in one and elements in the other: a high degree brings them together
+    monkeypatch.setitem(RUNS, "ovals", (solve_ovals, ((6, 5, (0.15,)),)))
     shape, wavelength, substrate, lattice, step = STRUCTURES[name]
     stack = stack_of({"material": "Si"} | shape, wavelength, substrate, lattice)
     theta, phi = 0.9, 2.0  # beyond the cell of the reciprocal lattice for the lines
@@ -79,7 +86,7 @@ def test_a_response_gives_the_orders_of_the_solver(name: str) -> None:
     inside = transverse - np.rint(transverse @ inverse) @ channels.lattice
     fit = Fit(channels, responses(channels, inside[None], step)[None])
     exact = both_sides(solve_coarse(stack, wavelength, theta, phi, step))
-    allowed = 1e-8 if name in ("lines", "discs") else 1e-3
+    allowed = 1e-8 if name in ("lines", "discs") else 3e-4 if name == "metal discs" else 1e-3
     for found, expected in zip(of_fit(fit, transverse), exact, strict=True):
         assert set(found) == {number for number, value in expected.items() if value > 0.0}
         assert all(abs(found[number] - expected[number]) < allowed for number in found)
@@ -126,36 +133,14 @@ def test_plasmons_and_anomalies_lie_between_few_solutions() -> None:
             assert abs(found.get(number, 0.0) - value) < 2e-3
 
 
-def test_a_table_of_lines_resumes(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NACRE_CACHE", str(tmp_path))
-    for name in ("MIN_STORED_S", "MIN_PART_S"):
-        monkeypatch.setattr(order_tables, name, 0.0)
+def test_a_table_of_lines_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(order_tables, "FITTED", (12, (24,)))
     lam = np.array([500.0, 600.0])
     stacks = [
         stack_of({"shape": "line", "width_nm": 230, "material": "Al"}, float(w), {"n": 1.5}, {"period_nm": 600})
         for w in lam
     ]  # fmt: skip
-    solved: list[int] = []
-    limit = 4.0
-
-    def counted(channels: Channels, waves: np.ndarray, step: int = 0) -> np.ndarray:
-        if len(solved) >= limit:
-            raise KeyboardInterrupt
-        solved.append(len(waves))
-        return responses(channels, waves, step)
-
-    monkeypatch.setattr(order_tables, "responses", counted)
-    with pytest.raises(KeyboardInterrupt):
-        order_tables.order_tables(stacks, lam, None)
-    limit, before = np.inf, len(solved)
-    resumed = order_tables.order_tables(stacks, lam, None)
-    again = len(solved) - before
-    monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "other"))
-    solved.clear()
-    whole = order_tables.order_tables(stacks, lam, None)
-    assert again < len(solved)
-    assert np.array_equal(resumed.reflected, whole.reflected) and np.array_equal(resumed.mirror, whole.mirror)
+    check_resumed_table(monkeypatch, tmp_path, "responses", stacks, lam, 4)
 
 
 @pytest.mark.parametrize("shape", ["cross", "rectangle"])
@@ -179,6 +164,8 @@ def test_the_exchange_of_x_and_y_takes_one_class(shape: str, monkeypatch: pytest
     whole = solve_coarse(stack, 650.0, 0.0, 0.7)
     assert difference(found, both) < 1e-10 and difference(found, whole) < 1e-6  # parities take another basis
     assert np.abs(found.reflected.jones - both.reflected.jones).max() < 1e-10
+    # light goes up from the surface, and down behind it
+    assert np.all(both.reflected.direction[:, 2] > 0.0) and np.all(both.transmitted.direction[:, 2] < 0.0)
 
 
 def test_a_rectangle_that_differs_along_x_and_y_takes_two_classes() -> None:
@@ -224,3 +211,12 @@ def test_orders_leave_into_a_dense_ambient_where_they_propagate() -> None:
                 assert value == pytest.approx(power, abs=4e-3)
                 checked += power > 0.01
     assert checked > 1
+
+
+def test_an_error_never_falls_below_what_the_series_of_discs_reaches() -> None:
+    """A disc of nearly no contrast: two sizes agree to rounding, which proves nothing about the next."""
+    from nacre.matter.periodic.solve import LEAST_ERROR, solve
+
+    stack = stack_of({"shape": "disc", "diameter_nm": 150, "material": {"n": 1.0 + 1e-9}}, 650.0, {"n": 1.5},
+                     {"period_nm": 300})  # fmt: skip
+    assert solve(stack, 650.0, 0.0, 0.0).error == LEAST_ERROR["fourier"] > 0.0

@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 
 import nacre
+from nacre.core.parallel import single_threaded_blas
+from nacre.matter.periodic.lamellar_solver import solve_lamellar
+from nacre.matter.periodic.line_elements import solve_elements
+from nacre.matter.periodic.line_solver import solve_profile
 from nacre.matter.periodic.slices import Wall, inset, sliced
-from nacre.matter.periodic.structure import Rectangle, Region
+from nacre.matter.periodic.solve import total
+from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Rectangle, Region
 
 
 @pytest.mark.parametrize("n", [1.5, 2.5])
@@ -24,6 +29,66 @@ def test_a_sloping_line_is_a_trapezoid(n: float) -> None:
     assert 0.0 < error <= 2e-3
     for side in ("reflected", "transmitted"):
         assert getattr(found, side) == pytest.approx(getattr(exact, side), abs=error + 5e-5, nan_ok=True)
+
+
+@pytest.mark.parametrize(("wavelength_nm", "angle_deg", "azimuth_deg"), [(569.0, 19.0, 76.0), (497.0, 48.0, 0.0)])
+def test_a_sloping_metal_line_is_a_trapezoid(wavelength_nm: float, angle_deg: float, azimuth_deg: float) -> None:
+    flank = 400 / np.tan(np.radians(78))
+    line = {"shape": "line", "material": "Al", "width_nm": 320, "sidewall_deg": 78}
+    made: dict[str, Any] = {"family": "grating", "substrate": "Al", "lattice": {"period_nm": 700}}
+    steps = made | {"layers": [{"thickness_nm": 400, "material": "air", "shapes": [line]}]}
+    profile = {"shape": "trapezoid", "depth_nm": 400, "top": (320 - flank) / 700, "bottom": (380 - flank) / 700}
+    case = angle_deg, azimuth_deg, [wavelength_nm]
+    found, exact = (nacre.orders(r, *case) for r in (steps, made | {"profile": profile}))
+    error = float(found.error.max())
+    assert 0.0 < error <= 1.5e-3
+    assert found.reflected == pytest.approx(exact.reflected, abs=error + float(exact.error.max()), nan_ok=True)
+
+
+def test_elements_continue_walls_through_layers() -> None:
+    """Walls that lie elsewhere in each layer, with films, against slices whose number extrapolates to the walls."""
+    box, other = Rectangle(-150.0, 90.0), Rectangle(-60.0, 170.0)
+    tilted = (
+        (PatternLayer(40.0, 2.1), ()), (PatternLayer(180.0, 1.0, ((box, 4.0),)), (20.0,)),
+        (PatternLayer(120.0, 1.4, ((other, 3.0),)), (12.0,)), (PatternLayer(70.0, 2.9), ()),
+    )  # fmt: skip
+
+    def stack(count: int) -> PeriodicStack:
+        layers: list[PatternLayer] = []
+        for layer, insets in tilted:
+            slope = np.degrees(np.arctan2(0.5 * layer.thickness_nm, insets[0] if insets else 0.0))
+            shapes = [(shape, epsilon, Wall(slope)) for shape, epsilon in layer.shapes]
+            layers += sliced(layer.thickness_nm, layer.epsilon, shapes, count)
+        return PeriodicStack(Cell(620.0), 1.0, tuple(layers), 1.5 + 0j, None, None, tilted)
+
+    case = 2.0 * np.pi / 560.0, 0.4, 0.7
+    with single_threaded_blas():
+        found = solve_elements(stack(1), *case, 1)
+        coarse, fine = (solve_lamellar([(stack(n), *case)])[0] for n in (6, 12))
+    assert total(found) == pytest.approx(np.ones(2), abs=1e-10)
+    for side in ("reflected", "transmitted"):
+        a, b = getattr(coarse, side).jones, getattr(fine, side).jones
+        assert getattr(found, side).jones == pytest.approx(2.0 * b - a, abs=2e-3)
+
+
+def test_walls_that_meet_are_solved_by_slices() -> None:
+    line = {"shape": "line", "material": {"n": 1.5}, "width_nm": 200, "sidewall_deg": 43}
+    made = {"family": "grating", "substrate": {"n": 1.5}, "lattice": {"period_nm": 600}, "model": {"tolerance": 0.02}}
+    found = nacre.orders(
+        made | {"layers": [{"thickness_nm": 200, "material": "air", "shapes": [line]}]}, 0.0, 0.0, [700.0]
+    )  # fmt: skip
+    assert 0.0 < float(found.error.max()) <= 0.02
+
+
+@pytest.mark.parametrize("phi_deg", [0.0, 35.0])
+def test_elements_agree_with_coordinates_on_a_profile(phi_deg: float) -> None:
+    made = {"family": "grating", "substrate": "Ag", "lattice": {"period_nm": 900},
+            "profile": {"shape": "sinusoidal", "depth_nm": 600}}  # fmt: skip
+    stack = nacre.load(made).model.stacks(np.array([520.0]))[0]
+    case = 2.0 * np.pi / 520.0, 0.6, float(np.radians(phi_deg))
+    with single_threaded_blas():
+        found, exact = solve_elements(stack, *case, 2), solve_profile(stack, *case, 3)
+    assert found.reflected.jones == pytest.approx(exact.reflected.jones, abs=1e-4)
 
 
 def test_slices_have_the_volume_of_the_wall() -> None:
@@ -57,3 +122,11 @@ def test_sloping_pillars_keep_energy(changes: dict[str, float]) -> None:
     found = nacre.orders(made, 0.0, 0.0, [550.0])
     total = np.nansum(found.reflected, axis=2) + np.nansum(found.transmitted, axis=2)
     assert total == pytest.approx(np.ones((1, 1, 2)), abs=1e-8)
+
+
+def test_slices_of_a_wall_round_all_over_fill_its_height_closest_at_the_top() -> None:
+    from nacre.matter.periodic.slices import _edges
+
+    depths = _edges(100.0, 100.0, 4)
+    np.testing.assert_allclose(depths, 100.0 * (1.0 - np.cos(np.linspace(0.0, 0.5 * np.pi, 5))), atol=1e-12)
+    assert depths[-1] == pytest.approx(100.0) and np.all(np.diff(depths, 2) > 0.0)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sized
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+
+from nacre.matter.periodic import order_tables
 
 REFERENCE = Path(__file__).resolve().parents[3] / "shared" / "reference" / "gratings" / "gratings_open.npz"
 
@@ -72,3 +75,37 @@ def differences(i: int, found: Any) -> tuple[float, float]:
     for side, count in seen.items():
         assert np.isfinite(getattr(found, side)[0, 0, :, 0]).sum() == count
     return efficiency, jones
+
+
+def check_resumed_table(
+    monkeypatch: pytest.MonkeyPatch, folder: Path, name: str, stacks: Any, lam: np.ndarray, calls: int
+) -> None:
+    """Interrupt a table of orders, resume it: the same numbers as of one that was never interrupted, for less work.
+
+    Args:
+        name: the solver in `order_tables`, called with what it solves first, that the interrupt stops.
+        calls: after which it does.
+    """
+    monkeypatch.setenv("NACRE_CACHE", str(folder))
+    for least in ("MIN_STORED_S", "MIN_PART_S"):
+        monkeypatch.setattr(order_tables, least, 0.0)
+    solve, solved, limit = getattr(order_tables, name), [], float(calls)
+
+    def counted(*given: Any) -> Any:
+        if len(solved) >= limit:
+            raise KeyboardInterrupt
+        cases: Sized = next(value for value in given if isinstance(value, list | np.ndarray))  # the channels precede it
+        solved.append(len(cases))
+        return solve(*given)
+
+    monkeypatch.setattr(order_tables, name, counted)
+    with pytest.raises(KeyboardInterrupt):
+        order_tables.order_tables(stacks, lam, None)
+    limit, before = np.inf, sum(solved)
+    resumed = order_tables.order_tables(stacks, lam, None)
+    again = sum(solved) - before
+    monkeypatch.setenv("NACRE_CACHE", str(folder / "other"))
+    solved.clear()
+    whole = order_tables.order_tables(stacks, lam, None)
+    assert again < sum(solved)  # complete parts are not solved again
+    assert np.array_equal(resumed.reflected, whole.reflected) and np.array_equal(resumed.mirror, whole.mirror)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from nacre.core.arrays import Array
-from nacre.formats.calibration import Calibration
+from nacre.formats.layouts import Calibration
 
 STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 

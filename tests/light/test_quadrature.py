@@ -17,3 +17,10 @@ def test_rules_integrate_polynomials_and_waves(count: int) -> None:
     if count > 3:  # four nodes a period and more
         wave = 0.5 * count
         assert weight @ np.cos(wave * x) == pytest.approx(2 * np.sin(wave) / wave, abs=1e-12)
+
+
+def test_weights_that_all_callers_share_cannot_be_changed() -> None:
+    from nacre.light.tristimulus import _cached_weights
+
+    with pytest.raises(ValueError, match="read-only"):
+        _cached_weights(np.arange(400.0, 701.0, 10.0).tobytes(), "D65", "2deg")[0] = 0.0

@@ -63,9 +63,9 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def trials():
-    from nacre.render import use_variant
+    from tested_variant import use_tested_variant
 
-    use_variant("llvm_ad_spectral")
+    use_tested_variant()
     import lobe_trials as testing
 
     return testing

@@ -19,7 +19,8 @@ from nacre.families.metasurface.ensemble.ensemble import ANGLES, Ensemble, same_
 from nacre.families.metasurface.ensemble.supercells import orders, supercells, with_species
 from nacre.families.metasurface.monolayer.arrangement import Arrangement
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
-from nacre.families.metasurface.monolayer.ensemble_ratio import (
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.structure import (
     BLOCKS_ABOVE,
     Pairs,
     Ratio,
@@ -28,9 +29,8 @@ from nacre.families.metasurface.monolayer.ensemble_ratio import (
     block_sums,
     blocks,
     fit_ratio,
+    hard_disk_structure,
 )
-from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
-from nacre.families.metasurface.monolayer.structure import hard_disk_structure
 from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
 from nacre.families.metasurface.tmatrix.substrate import Embedded
 from nacre.material.material import material

@@ -198,6 +198,7 @@ def test_the_colour_map_goes_from_a_tenth_of_the_density_to_what_fits(monkeypatc
 def test_colour_map_covers_density_and_angle():
     data = material(recipe("Si")).figure_data("colour-map", densities_per_um2=[2.0, 6.0], angles_deg=[0.0, 40.0])
     assert data["reflectance"].shape == (2, 2, len(data["wavelengths_nm"]))
+    np.testing.assert_allclose(data["wavelengths_nm"], np.linspace(380.0, 780.0, 21))
     assert data["reflectance"][1].mean() > data["reflectance"][0].mean()
 
 

@@ -64,9 +64,9 @@ def exact_lobe(name):
 
 @pytest.fixture(scope="module")
 def trials():
-    from nacre.render import use_variant
+    from tested_variant import use_tested_variant
 
-    use_variant("llvm_ad_spectral")
+    use_tested_variant()
     import lobe_trials as testing
 
     return testing

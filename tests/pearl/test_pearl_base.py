@@ -145,9 +145,9 @@ def test_sample_and_eval_agree_below_flakes_and_two_strata(mi, folder, base):
 
 @pytest.fixture(scope="module")
 def mi():
-    from nacre.device.variant import use_variant
+    from tested_variant import use_tested_variant
 
-    return use_variant("llvm_ad_spectral")
+    return use_tested_variant()
 
 
 def check_sample_against_eval(mi, material, count=1 << 21):

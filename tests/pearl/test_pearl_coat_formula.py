@@ -40,9 +40,9 @@ def pairs():
 @pytest.mark.render
 @pytest.mark.parametrize("base", ["albedo", "measured"])
 def test_a_coat_over_a_matt_ground_is_mitsubas_plastic(coats, base):
-    from nacre.device.variant import use_variant
+    from tested_variant import use_tested_variant
 
-    mi = use_variant("llvm_ad_spectral")
+    mi = use_tested_variant()
     grey = {"type": "uniform", "value": ALBEDO}
     plastic = mi.load_dict({
         "type": "plastic", "diffuse_reflectance": grey, "int_ior": INDEX, "ext_ior": 1.0, "nonlinear": True,

@@ -255,7 +255,7 @@ def test_where_flakes_are_not_seen_apart_a_lobe_is_the_one_without_glints(fast: 
     import drjit as dr
 
     from nacre.device.bsdf import make_plugin
-    from nacre.device.glints import without_glints
+    from nacre.device.facet_distributions import without_glints
 
     count, generator = 4_000, np.random.default_rng(15)
     si = dr.zeros(mi.SurfaceInteraction3f, count)
@@ -370,7 +370,7 @@ def test_two_seeds_of_a_default_picture_show_the_same_glints() -> None:
     from nacre.material.examples import examples_folder
 
     paint = nacre.load(examples_folder() / "pearl" / "car_paint_glints.toml")
-    asked = {"scene": "body", "zoom": 4.0, "size": (64, 64), "progress": False}
+    asked = {"scene": "body", "zoom": 256 / 48, "size": (48, 48), "progress": False}
     on_it = nacre.render(paint, background="transparent", spp=16, **asked).alpha > 0.99
     assert on_it.mean() > 0.3
     luminance = [nacre.render(paint, seed=seed, **asked).xyz[..., 1] for seed in (1, 2)]

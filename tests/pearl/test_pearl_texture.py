@@ -326,3 +326,13 @@ def test_wrong_questions_are_refused(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert run(["report", "gold", "--texture", "--instrument", str(tool)]) == 2
     message = capsys.readouterr().err.strip()
     assert "lamp_deg" in message and "\n" not in message
+
+
+def test_averages_over_the_flakes_are_those_of_their_distribution() -> None:
+    """Uniform cosines, and luminance and transmittance that are linear in them: <c> = 1/2, <c^2> = 1/3."""
+    from nacre.bsdf.glints import DiffuseFlakes
+    from nacre.measure.sparkle import _averages
+
+    nodes = np.linspace(0.0, 1.0, 101)
+    flakes = DiffuseFlakes(0, 0.1, np.array([10.0, 10.0]), nodes, np.stack([nodes, nodes]), 1.0 - nodes)
+    np.testing.assert_allclose(_averages(flakes, 0.3), [1 / 2, 1 / 3, 1 / 2, 1 / 3, 1 / 6], rtol=1e-5)

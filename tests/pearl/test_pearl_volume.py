@@ -45,9 +45,9 @@ DYED = {
 
 def _compare(configuration: tuple, paths: int, seed: int, dye=None, band: int = 0) -> tuple[float, float, float]:
     """Worst |z| over albedo and three lobes, the relative difference of the albedo and its standard error."""
-    from nacre.device.variant import use_variant
+    from tested_variant import use_tested_variant
 
-    mi = use_variant("llvm_ad_spectral")
+    mi = use_tested_variant()
     from nacre.device.walk.strata import Strata
     from nacre.device.walk.walk import sample_walk
 

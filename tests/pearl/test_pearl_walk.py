@@ -48,9 +48,9 @@ CASES = {
 
 @pytest.fixture(scope="module")
 def mi():
-    from nacre.device.variant import use_variant
+    from tested_variant import use_tested_variant
 
-    return use_variant("llvm_ad_spectral")
+    return use_tested_variant()
 
 
 def draw(mi, lobe, wi, count, seed=5):
@@ -372,12 +372,13 @@ def test_the_plugin_needs_an_llvm_variant(mi):
     from nacre.device.bsdf import make_plugin
     from nacre.device.lobes.layered import LayeredPlugin
 
+    before = mi.variant()
     mi.set_variant("scalar_spectral")
     try:
         with pytest.raises(UnsupportedError, match="LLVM"):
             LayeredPlugin(layered_lobe(), make_plugin)
     finally:
-        mi.set_variant("llvm_ad_spectral")
+        mi.set_variant(before)
 
 
 def test_a_scene_of_strata_renders(mi):

@@ -25,7 +25,7 @@ def files() -> list[Path]:
 
 
 def model_of(data: dict[str, Any]) -> type[RecipeModel]:
-    from nacre.cli.machine import kind
+    from nacre.cli.keys import kind
     from nacre.optimise.relief.target import TargetSpec
 
     if isinstance(data.get("target"), list):

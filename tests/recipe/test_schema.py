@@ -14,7 +14,7 @@ import pytest
 from helpers_recipes import EXAMPLES, examples, kind_of, write_companions
 
 import nacre
-from nacre.cli.machine import SHARED, editor_schema, kind, kind_names
+from nacre.cli.keys import SHARED, editor_schema, kind, kind_names
 from nacre.core.errors import NacreError
 from nacre.material.material import STUDY_TABLES
 from nacre.recipe.keys import keys_of, tables_below

@@ -253,3 +253,23 @@ def test_the_report_states_the_roughness(tmp_path: Path) -> None:
     found = nacre.report(nacre.material(recipe, folder=tmp_path))
     assert found.surface["sq_um"] == pytest.approx(0.05, rel=0.2)
     assert {"sdq", "correlation_length_um"} <= set(found.surface)
+
+
+def test_the_azimuthal_mean_continues_the_largest_circle_into_the_corners() -> None:
+    from nacre.families.relief.scan import _azimuthal_mean
+
+    lag = np.hypot(*np.mgrid[-8:9, -8:9])
+    found = _azimuthal_mean(np.exp(-0.02 * lag**2))
+    inside = lag <= 6.5  # the last radius: half a point short of 7
+    np.testing.assert_allclose(found[inside], np.exp(-0.02 * lag[inside] ** 2), atol=2e-3)  # of splines
+    np.testing.assert_allclose(found[~inside], np.exp(-0.02 * 6.5**2), atol=2e-3)
+
+
+@pytest.mark.parametrize(("blur_nm", "is_vertical"), [(0.0, True), (6.0, True), (9.0, False)])
+def test_steps_steeper_than_20_are_vertical_walls_between_level_features(blur_nm: float, is_vertical: bool) -> None:
+    """The slope of a step h blurred by sigma is h / (sqrt(2 pi) sigma)."""
+    from nacre.families.relief.blocks import Blocks
+
+    heights = np.zeros((6, 6))
+    heights[2:4, 1:5] = 400.0
+    assert Blocks(heights, 800.0, blur_nm).is_vertical == is_vertical

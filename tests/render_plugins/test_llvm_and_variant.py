@@ -325,10 +325,45 @@ def test_scalar_variant_gives_the_same_values() -> None:
 @pytest.mark.gpu
 def test_gpu_renders_what_the_arrays_say() -> None:
     """The same plugins run in cuda_ad_spectral."""
-    done = python(VALUES, {**os.environ, variant.ENVIRONMENT_VARIABLE: "cuda_ad_spectral"})
+    helpers = str(Path(__file__).parents[1] / "helpers")
+    path = os.pathsep.join([helpers, os.environ.get("PYTHONPATH", "")])
+    done = python(VALUES, {**os.environ, "PYTHONPATH": path, variant.ENVIRONMENT_VARIABLE: "cuda_ad_spectral"})
     assert done.returncode == 0, done.stderr
     name, worst = done.stdout.split()
     assert name == "cuda_ad_spectral" and float(worst) <= 1e-4
+
+
+@pytest.mark.render
+def test_the_test_kernel_of_the_gpu_expects_what_another_backend_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    import drjit as dr
+    import drjit.llvm
+
+    import nacre.render
+
+    nacre.render.use_variant()
+    monkeypatch.setattr(dr, "has_backend", lambda backend: True)
+    monkeypatch.setitem(sys.modules, "drjit.cuda", drjit.llvm)
+    assert variant.cuda_failure() == ""
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("requested", ["", "llvm_ad_spectral", "scalar_spectral"])
+def test_a_polarised_picture_keeps_its_variant_whatever_the_environment_requests(
+    requested: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import mitsuba
+
+    before = mitsuba.variant()
+    if requested:
+        monkeypatch.setenv(variant.ENVIRONMENT_VARIABLE, requested)
+    try:
+        with variant.polarised_variant() as mi:
+            polarised = mi.variant()
+            assert polarised in variant.POLARISED and polarised.startswith(requested)
+            assert variant.use_variant().variant() == polarised
+        assert mi.variant() not in variant.POLARISED
+    finally:
+        mitsuba.set_variant(before or "llvm_ad_spectral")
 
 
 def test_an_llvm_that_mitsuba_chose_wrongly_is_reported_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,8 +9,8 @@ import pytest
 
 from nacre.core.errors import NacreError
 from nacre.light import illuminant, spectrum_to_xyz, table_wavelengths_nm, xyz_weights
+from nacre.picture.lights.emitter_plugins import LIGHTS, check_light
 from nacre.picture.lights.environments import Environment, soft_box, studio, unit_spectrum
-from nacre.picture.lights.named import LIGHTS, check_light
 
 ROWS = 64
 # noise of 4,096 samples a pixel over a few hundred pixels
@@ -113,8 +113,7 @@ def test_a_light_with_a_stated_turn_shines_from_there(name: str, tmp_path: Path)
     import OpenEXR
 
     from nacre.device.variant import use_variant
-    from nacre.picture.lights.emitter_plugins import Lamp
-    from nacre.picture.lights.named import make_lights
+    from nacre.picture.lights.emitter_plugins import Lamp, make_lights
 
     mi = use_variant()
     if name == "map.exr":
@@ -186,7 +185,7 @@ def test_a_narrow_reflectance_keeps_its_colour_under_any_lamp(light: str) -> Non
 @pytest.mark.parametrize("name", ["studio", "line", "sun", "sky", "directional"])
 def test_lights_are_scaled_to_white_paper_of_luminance_0_6(name: str) -> None:
     """Comparable exposures: within half a stop of the promise, whatever the light."""
-    from nacre.picture.lights.named import make_light
+    from nacre.picture.lights.emitter_plugins import make_light
 
     xyz = _floor_xyz(dict(make_light(name).emitters), 1.0, spp=256)
     assert abs(np.log2(xyz[1] / 0.6)) < 0.5
@@ -197,8 +196,7 @@ def test_lights_are_scaled_to_white_paper_of_luminance_0_6(name: str) -> None:
 def test_no_light_is_drawn_from_beyond_what_stands_in_its_way(light: str) -> None:
     """A floor within a black ball gets none, however far away the ball is; without the ball it is lit."""
     from nacre.device.variant import use_variant
-    from nacre.picture.lights.emitter_plugins import read_lamps
-    from nacre.picture.lights.named import make_lights
+    from nacre.picture.lights.emitter_plugins import make_lights, read_lamps
 
     mi = use_variant()
     surroundings = [each for each in make_lights(read_lamps(light)).emitters.values() if not _is_lamp(each)]

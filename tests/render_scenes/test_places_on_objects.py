@@ -136,7 +136,7 @@ def test_where_no_object_is_one_line_says_so(tmp_path: Path, monkeypatch: pytest
 def test_an_own_mitsuba_scene_names_no_object() -> None:
     """But `make_bsdf` takes it; a point on the ball's surface is at distance 1."""
     from nacre.device.bsdf import make_bsdf
-    from nacre.device.texture import ObjectFrame, ObjectSpace
+    from nacre.device.tables import ObjectFrame, ObjectSpace
     from nacre.device.variant import use_variant
 
     mi = use_variant()

@@ -145,7 +145,7 @@ def test_every_shape_stands_whole_in_the_frame_of_every_scene(
 def test_what_belongs_to_a_subject_is_not_left_with_another() -> None:
     """The pin and the label of the beetle stand neither by another shape nor in a street."""
     from nacre.picture.built_scene import BuiltScene, with_subject
-    from nacre.picture.lights.named import make_light
+    from nacre.picture.lights.emitter_plugins import make_light
 
     scene = SCENES["beetle"]
     other = with_subject(scene, SCENES["cuff"].parts)
@@ -159,7 +159,7 @@ def test_what_belongs_to_a_subject_is_not_left_with_another() -> None:
 def test_an_open_lens_blurs_what_is_not_in_focus() -> None:
     """A view keeps its lens however it is moved, and the camera that is built has it."""
     from nacre.picture.built_scene import BuiltScene
-    from nacre.picture.lights.named import make_light
+    from nacre.picture.lights.emitter_plugins import make_light
 
     view = SCENES["cuff"].view
     assert view.placed(30.0, 40.0).lens == view.turned(10.0).lens == view.zoomed(2.0).lens == view.lens > 0

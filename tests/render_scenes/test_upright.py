@@ -30,7 +30,7 @@ MIRROR = {"family": "film", "substrate": "Al"}
 def seen(scene: Scene, count: int = 96) -> tuple[np.ndarray, np.ndarray]:
     """uv `[row, column, 2]` of the subject before its own camera, NaN elsewhere, and the points hit."""
     from nacre.picture.built_scene import BuiltScene
-    from nacre.picture.lights.named import make_light
+    from nacre.picture.lights.emitter_plugins import make_light
 
     built = BuiltScene(scene, make_light("directional", "D65", 0.0), see_through=False)
     from nacre.device.variant import use_variant

@@ -188,4 +188,11 @@ def test_batches_and_in_plane_wavevectors_of_incoherent_stacks_are_those_of_sing
 def test_powers_need_a_wave_that_arrives() -> None:
     with pytest.raises(NacreError, match="kappa"):
         powers([[1.0], [1.5]], [], [LAM], kappa=[1.1])
+    with pytest.raises(NacreError, match="kappa"):  # 1.2 travels at the second wavelength only
+        powers([[1.0, 1.5], [1.5, 1.5]], [], [400.0, 700.0], kappa=[0.9, 1.2])
     assert powers([[1.0], [1.5]], [], [LAM], kappa=[1.0]).R_s[0, 0] == pytest.approx(1.0)
+
+
+def test_the_field_of_an_absorbing_ambient_decays_along_the_wave() -> None:
+    found = field_profile([[1.5 + 0.1j], [1.5 + 0.1j]], [], [500.0], 0.0, [-50.0, 50.0]).s.squeeze()
+    assert found[1] / found[0] == pytest.approx(np.exp(-4.0 * np.pi * 0.1 * 100.0 / 500.0))

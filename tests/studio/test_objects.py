@@ -25,8 +25,7 @@ from nacre.picture.shapes.mesh import Mesh, parametric
 from nacre.recipe.toml import parse_toml
 from nacre.studio import objects, server
 from nacre.studio.folder import OpenedFolder
-from nacre.studio.measured import computed_psi_delta
-from nacre.studio.objects import OBJECTS, MeshStore, simplified
+from nacre.studio.objects import OBJECTS, MeshStore, computed_psi_delta, simplified
 from nacre.studio.server import HEADER, make_app
 from nacre.studio.surroundings import ALPHAS, GREY, LAYERS, ROWS, without_lamp
 
@@ -207,7 +206,7 @@ def test_a_sky_lights_the_floor_as_mitsuba_says(name: str) -> None:
     """A matt white sheet under the picture's own light, rendered, beside the table that the page draws with."""
     from nacre.device.variant import use_variant
     from nacre.light import xyz_to_srgb_linear
-    from nacre.picture.lights.named import make_light
+    from nacre.picture.lights.emitter_plugins import make_light
     from nacre.studio.surroundings import sky_job
 
     mi = use_variant()

@@ -24,8 +24,7 @@ from nacre.light import delta_e_2000, spectrum_to_rgb_linear, spectrum_to_srgb, 
 from nacre.studio.appearance import appearances
 from nacre.studio.edit import edited, family_form, line_of
 from nacre.studio.folder import STARTS, OpenedFolder
-from nacre.studio.server import HEADER, make_app
-from nacre.studio.session import json_data
+from nacre.studio.server import HEADER, json_data, make_app
 from nacre.studio.subprocess_jobs import SupersededError
 from nacre.studio.surroundings import ALPHAS, LAYERS, blurred_surroundings
 
@@ -400,7 +399,7 @@ def test_the_gloss_of_mitsubas_rough_mirror_is_that_mirror(alpha: float) -> None
     code = f"""
 import numpy as np, mitsuba as mi
 mi.set_variant("scalar_rgb")
-from nacre.measure.gloss import fit_gloss
+from nacre.measure.colours import fit_gloss
 mirror = mi.load_dict({{"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": {alpha}}})
 def values(wi, wo):
     found = []

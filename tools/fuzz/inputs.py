@@ -264,7 +264,7 @@ def _measurement(path: Path, folder: Path) -> None:
 
 
 def _calibration(path: Path, folder: Path) -> None:
-    from nacre.formats.calibration import read_calibration
+    from nacre.formats.layouts import read_calibration
 
     read_calibration(path)
 

@@ -1,7 +1,7 @@
 """Measure what share of small errors in the physics the quick tests notice: `make mutants`.
 
 210 mutants are drawn by cosmic-ray's operators, uniformly over the code lines of the rooms that hold physics, and the
-tests that reach each are run against it, in a copy of the tree, two mutants at a time and at most 60 s each. A mutant
+tests that reach each are run against it, in a copy of the tree, `WORKERS` (2) mutants at a time and 60 s each. A mutant
 is killed when a test fails that passed before, or takes three times its time. All stays in build/mutants: a run that
 was stopped goes on where it was, and `--again` tries the survivors anew, with the tests as they are now. Answers are
 printed and written to benchmarks/MUTANTS.md.
@@ -27,8 +27,13 @@ BASE = PLACE / "base"
 ENVIRONMENT = ROOT / ".venv-mutants"
 SEED = 20261126
 COUNT = 210
-PROCESSES = 2
-PYTEST = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not full and not gpu"]
+PROCESSES = int(os.environ.get("WORKERS", "2"))
+CHOSEN = [
+    "-m",
+    "not full and not gpu",
+    "--continue-on-collection-errors",
+]  # what lacks a package fails, and is left out
+PYTEST = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *CHOSEN]
 IN_PARALLEL = ["-n", str(PROCESSES), "--dist", "worksteal"]
 SKIPPED = ("docs", "cli", "render_scenes", "test_packaging.py")  # faces and pictures: slow, and far from the physics
 
@@ -69,12 +74,10 @@ def test_files() -> list[str]:
 
 
 def measure_baseline(files: list[str]) -> None:
-    """Trace which test reaches which line, then time the tests with all compiled; keep it with what was known."""
-    _trace([*IN_PARALLEL, *files], {})
+    """Trace which test reaches which line and what it costs, in one run; keep both."""
     log = PLACE / "times.log"
     log.unlink(missing_ok=True)
-    plugin = ["-p", "no:cov", "-p", "tools.mutants.plugin"]
-    subprocess.run([*PYTEST, *IN_PARALLEL, *plugin, *files], cwd=BASE, env=environment(LOG=log), check=False)
+    _trace([*IN_PARALLEL, "-p", "tools.mutants.plugin", *files], {"LOG": log})
     keep_baseline()
 
 
@@ -109,13 +112,19 @@ def keep_baseline() -> None:
     kept = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     cost, failed = dict(kept.get("cost", {})), set(kept.get("failed", ()))
     log = PLACE / "times.log"
-    began: dict[str, float] = {}
+    began: dict[int, float] = {}  # by process; compiling does not count
+    compiling: dict[int, float] = {}
     for line in log.read_text(encoding="utf-8").splitlines() if log.exists() else ():
         event = json.loads(line)
+        process = event["pid"]
         if "start" in event:
-            began[event["start"]] = event["cpu"]
-        elif "end" in event and event["end"] in began:
-            cost[event["end"]] = round(event["cpu"] - began[event["end"]], 3)
+            began[process] = event["cpu"]
+        elif event.get("compile") == "start":
+            compiling[process] = event["cpu"]
+        elif event.get("compile") == "end" and process in compiling and process in began:
+            began[process] += event["cpu"] - compiling[process]
+        elif "end" in event and process in began:
+            cost[event["end"]] = round(event["cpu"] - began[process], 3)
         elif event.get("outcome") == "failed":
             failed.add(event["test"])
         elif event.get("outcome") == "passed":

@@ -28,7 +28,7 @@ def cpu() -> float:
 def log_event(**what: Any) -> None:
     """Append a line to the log."""
     with open(LOG, "a", encoding="utf-8") as log:
-        log.write(json.dumps({**what, "cpu": cpu(), "at": time.time()}) + "\n")
+        log.write(json.dumps({**what, "cpu": cpu(), "at": time.time(), "pid": os.getpid()}) + "\n")
 
 
 def pytest_configure(config: pytest.Config) -> None:

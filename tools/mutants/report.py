@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from collections import Counter
 from pathlib import Path
@@ -22,6 +23,14 @@ def latest(place: Path) -> dict[str, dict[str, Any]]:
     return found
 
 
+def wilson(count: int, of: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a share."""
+    z, of = 1.96, max(of, 1)
+    middle, scale = (count + 0.5 * z * z) / (of + z * z), z / (of + z * z)
+    half = scale * math.sqrt(count * (of - count) / of + 0.25 * z * z)
+    return middle - half, middle + half
+
+
 def write_report(root: Path, place: Path) -> int:
     """Write the score, room by room, and each survivor with a word; return 1 below the bar."""
     draw = json.loads((place / "draw.json").read_text(encoding="utf-8"))
@@ -33,9 +42,11 @@ def write_report(root: Path, place: Path) -> int:
     by_time = [m for m in killed if answers[m["id"]]["by"] == "time"]
     share = len(killed) / max(len(tried), 1)
     rooms, won = (Counter(m["file"].split("/")[2] for m in group) for group in (tried, killed))
+    low, high = wilson(len(killed), len(tried))
     lines = [
         "# Mutants", "",
-        f"**{len(killed)} of {len(tried)} killed: {share:.1%}** (bar: {BAR:.0%}). Made by `make mutants`: cosmic-ray's "
+        f"**{len(killed)} of {len(tried)} killed: {share:.1%}** (95 % interval {low:.0%} to {high:.0%}; bar: "
+        f"{BAR:.0%}). Made by `make mutants`: cosmic-ray's "
         f"operators, seed {draw['seed']}, drawn uniformly over the {draw['lines']} lines of six rooms that hold a "
         "mutation, whether a test reaches them or not; equivalents count as survivors. Killed means that a test fails "
         f"which passed before, or takes three times its time ({len(by_time)} of them), within 60 s of the processor.",

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nacre.core.arrays import Array, ComplexArray, floats, wavelength_grid
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.families.contract import Model, SpecularStack
+from nacre.families.contract import SpecularStack
 from nacre.material.material import Material, MaterialLike, as_material
 from nacre.matter.stack.incoherent import incoherent_coherence, incoherent_powers
 from nacre.matter.stack.solve import solve
@@ -356,7 +356,7 @@ class EllipsometryData:
             found.append((np.array([angle]), np.unique(self.row_wavelengths_nm[rows]), rows))
         return found
 
-    def surrogate(self, model: Model) -> Array | None:
+    def surrogate(self, material: Material) -> Array | None:
         """Return None: a stack lacks noise."""
         return None
 

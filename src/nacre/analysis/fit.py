@@ -419,7 +419,7 @@ class _Problem:
         self.evaluations += 1
         try:
             material = self.build(point)
-            surrogate = self._measured.surrogate(material.model)
+            surrogate = self._measured.surrogate(material)
             if surrogate is None:
                 values = self._measured.model(material, self._samples, self._seed)
             else:
@@ -487,7 +487,7 @@ class _Problem:
         """Refine a surrogate minimum with random walk differences (space mapping)."""
         for _ in range(CORRECTIONS):
             material = self.build(end.point)
-            surrogate = self._measured.surrogate(material.model)
+            surrogate = self._measured.surrogate(material)
             if surrogate is None:
                 break
             self._correction = np.mean(self._walk(material), axis=0) - surrogate

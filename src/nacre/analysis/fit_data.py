@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,15 +15,15 @@ from nacre.analysis.measured import MAX_POWER, MIN_POWER, RELATIVE_FLOOR
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import plain
-from nacre.families.contract import Diffracting, Model, is_direct, surrogate_radiance
+from nacre.families.contract import Diffracting, is_direct, surrogate_radiance
 from nacre.light import default_wavelengths, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material
 from nacre.measure.colours import geometry_colours, recipe_geometries
 from nacre.measure.geometry import Geometry, aspecular_pairs
 from nacre.measure.texture import Instrument, TextureQuantity, check_texture, read_instrument, texture_values
-from nacre.optimise.colour_list import read_colours
+from nacre.optimise.colour_list import cells_of, read_colours
 from nacre.readers.measurement import Measurement
-from nacre.readers.text_table import decode, split
+from nacre.readers.text_table import decode
 from nacre.recipe.model import show_value
 
 
@@ -49,7 +49,7 @@ class Data(Protocol):
         """Return simulated values, shaped as `values`."""
         ...
 
-    def surrogate(self, model: Model) -> Array | None:
+    def surrogate(self, material: Material) -> Array | None:
         """Return values of a random walk's noise-free surrogate; None without one."""
         ...
 
@@ -85,9 +85,9 @@ class Joint:
         """Return simulated values `[value]`."""
         return np.concatenate([part.model(material, samples, seed).ravel() for part in self.parts])
 
-    def surrogate(self, model: Model) -> Array | None:
+    def surrogate(self, material: Material) -> Array | None:
         """Return values of a random walk's noise-free surrogate; None without one."""
-        found = [part.surrogate(model) for part in self.parts]
+        found = [part.surrogate(material) for part in self.parts]
         return (
             None
             if any(each is None for each in found)
@@ -185,8 +185,9 @@ class ColourData:
         rows = self.geometries or self.resolved(material).geometries
         return geometry_colours(material, rows, *self.light, samples, seed)
 
-    def surrogate(self, model: Model) -> Array | None:
+    def surrogate(self, material: Material) -> Array | None:
         """Return CIELAB of a random walk's noise-free surrogate; None without one."""
+        model = material.model
         if is_direct(model) or any(geometry.kind != "aspecular" for geometry in self.geometries):
             return None
         grid = np.asarray(model.wavelengths_nm)
@@ -246,7 +247,7 @@ class OrdersData:
                     found[row] = np.nan_to_num(getattr(solved, side)[at]) @ weights
         return found
 
-    def surrogate(self, model: Model) -> Array | None:
+    def surrogate(self, material: Material) -> Array | None:
         """Return None: orders are free of noise."""
         return None
 
@@ -368,10 +369,9 @@ class TextureData:
         """Return the material's numbers `[quantity]`."""
         return texture_values(material, self.quantities, seed, "search")[0]
 
-    def surrogate(self, model: Model) -> Array | None:
+    def surrogate(self, material: Material) -> Array | None:
         """Return the same numbers, which need no random walk."""
-        thing: Any = SimpleNamespace(name="", model=model, context=SimpleNamespace(source="the recipe"))
-        return None if is_direct(model) else texture_values(thing, self.quantities, 0, "search")[0]
+        return None if is_direct(material.model) else self.model(material, None, 0)
 
     def noise_scale(self, weights: str) -> Array:
         """Return the noise, which is relative to each value."""
@@ -398,22 +398,19 @@ def stated_texture(stated: Mapping[str, float], instrument: Any = None, name: st
     return TextureData(quantities, np.array(list(stated.values()), dtype=float), name, remarks)
 
 
-def _labelled_rows(path: Path) -> tuple[str | None, list[tuple[int, list[str]]]]:
-    """Return the delimiter, and line number and cells of a short text file; no rows of another file."""
+def _labelled_rows(path: Path) -> list[tuple[int, list[str]]]:
+    """Return line number and cells of a short text file; no rows of another file."""
     try:
         with plain(path).open("rb") as file:
-            lines = decode(file.read(MOST_TEXTURE_BYTES)).splitlines()
-    except (OSError, UnicodeDecodeError):
-        return None, []
-    rows = [(number, line.strip()) for number, line in enumerate(lines, 1) if line.strip() and line.strip()[0] != "#"]
-    mark = next((mark for mark in ";\t," if any(mark in line for _, line in rows)), None)
-    return mark, [(number, cells) for number, line in rows if (cells := split(line, mark))]
+            return list(cells_of(decode(file.read(MOST_TEXTURE_BYTES))))
+    except (OSError, UnicodeDecodeError, csv.Error):
+        return []
 
 
 def is_geometry_list(path: Path) -> bool:
     """Return whether a file without a heading lists geometries with L*, a*, b*: `45as15, 60, 1, 2`."""
-    _, rows = _labelled_rows(path)
-    return bool(rows) and len(rows[0][1]) == 4 and _GEOMETRY.match(rows[0][1][0]) is not None
+    cells = [cells for _, cells in _labelled_rows(path)[:1]]
+    return bool(cells) and len(cells[0]) == 4 and _GEOMETRY.match(cells[0][0]) is not None
 
 
 def texture_measurement(path: Path, instrument: Any = None) -> TextureData | None:
@@ -422,7 +419,7 @@ def texture_measurement(path: Path, instrument: Any = None) -> TextureData | Non
     Raises:
         RecipeError: a row is not a quantity and a number above 0, or a quantity stands twice.
     """
-    mark, cells = _labelled_rows(path)
+    cells = _labelled_rows(path)
     if len(cells) > 1 and cells[0][1][0].lower() in ("quantity", "name"):
         cells.pop(0)
     if not any(_TEXTURE.fullmatch(row[0]) for _, row in cells):
@@ -436,7 +433,7 @@ def texture_measurement(path: Path, instrument: Any = None) -> TextureData | Non
             raise RecipeError(f"{where}: {row[0]} stands twice")
         try:
             (text,) = row[1:]
-            found[row[0]] = float(text.replace(",", ".") if mark != "," else text)
+            found[row[0]] = float(text)
         except ValueError:
             said = show_value(", ".join(row))
             raise RecipeError(f"{where}: {said} should be a quantity and a number, such as sparkle_45, 1.2") from None

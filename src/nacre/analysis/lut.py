@@ -42,9 +42,8 @@ from nacre.light import delta_e_2000, spectrum_to_rgb_matrix, srgb_linear_to_xyz
 from nacre.light.tables import Illuminant, illuminant
 from nacre.light.tristimulus import weighted_sum
 from nacre.material.material import Material, StoredBsdf
-from nacre.measure.colours import colour_bsdf
+from nacre.measure.colours import Gloss, colour_bsdf, find_gloss, fit_lobes
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
-from nacre.measure.gloss import Gloss, find_gloss, fit_lobes
 
 COLUMNS = 256
 ROUGH_COLUMNS = 91  # columns of the smooth colours averaged over facets

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.families.contract import DirectEvaluation, Model, is_direct, search_model
+from nacre.families.contract import DirectEvaluation, is_direct, search_model
 from nacre.formats.measured_lobes import COLUMNS, GonioData, gonio_data
 from nacre.material.material import Material
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
@@ -73,12 +73,13 @@ class Measured:
         bsdf = material.bsdf(self.wavelengths_nm)
         return evaluate_with_error(bsdf, self.gonio.wi, self.gonio.wo, samples=samples, seed=seed)[0]
 
-    def surrogate(self, model: Model) -> Array | None:
+    def surrogate(self, material: Material) -> Array | None:
         """Return the measurement simulated by a random walk's noise-free surrogate; None without one.
 
         Raises:
             NacreError: the material cannot be computed.
         """
+        model = material.model
         near = search_model(model, {})
         if is_direct(model) or not is_direct(near):
             return None

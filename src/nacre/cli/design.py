@@ -45,7 +45,7 @@ def design(
     """
     import os
 
-    from nacre.optimise.run import run
+    from nacre.optimise.run import read_target, run
     from nacre.optimise.solutions import NEED_BYTES
 
     name = Path(target).stem
@@ -54,13 +54,13 @@ def design(
         check_writable(folder)
     check_room(folder, NEED_BYTES)
     if labs is not None:
-        _design_many(target, labs, folder, resume, as_json, workers)
+        _design_many(read_target(target), labs, folder, resume, as_json, workers)
         return
     if workers.cluster is not None or workers.security is not None:
         raise NacreError("--cluster: one design runs on this machine; a cluster serves --many")
     jobs = os.environ.get("NACRE_JOBS")
     with _Screen() as screen:
-        result = run(target, folder, resume, screen.show, int(jobs) if jobs else None)
+        result = run(read_target(target), folder, resume, screen.show, int(jobs) if jobs else None)
     if as_json:
         click.echo(json.dumps(result.summary, default=str))
     if not as_json:
@@ -70,7 +70,7 @@ def design(
         raise KeyboardInterrupt
 
 
-def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bool, workers: Workers) -> None:
+def _design_many(target: Any, labs: str, folder: Path, resume: bool, as_json: bool, workers: Workers) -> None:
     """Design for each row of a CSV and print the results."""
     from nacre.optimise.batch import SUMMARY, TABLE, design_batch
 
@@ -115,7 +115,7 @@ def _print_solutions(result: Any) -> None:
 
 def _print_next(result: Any, target: str) -> None:
     """Print the next commands."""
-    from nacre.formats.calibration import PUBLISHED
+    from nacre.formats.layouts import PUBLISHED
 
     follow = f"nacre report {result.folder}"
     if "loss_fixed" in result.summary:
@@ -333,6 +333,7 @@ def _print_curve(beside: Path) -> None:
 @click.argument("targets", nargs=-1, required=True, metavar="TARGET.toml...")
 @click.option("-o", "output", default=None, metavar="FOLDER",
               help="Default: the name of the target; of several targets it holds a folder each.")  # fmt: skip
+@click.option("--resume", is_flag=True, help="Resume a stopped run of the same target.")
 @click.option("--batch", default=None, metavar="COLOURS.csv",
               help="Correct a batch with these colours (geometry, L*, a*, b*) by additions; needs --made.")  # fmt: skip
 @click.option("--made", default=None, metavar="FOLDER", help="Formulation that the batch was made by.")
@@ -341,7 +342,8 @@ def _print_curve(beside: Path) -> None:
 @common.cache_option
 @common.jobs_option
 def formulate(
-    targets: tuple[str, ...], output: str | None, batch: str | None, made: str | None, answer: int, as_json: bool
+    targets: tuple[str, ...], output: str | None, resume: bool, batch: str | None, made: str | None, answer: int,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Choose pigments, a dye and concentrations from a library for the measured colours of each TARGET."""
     from nacre.core.files import check_writable
@@ -372,6 +374,7 @@ def formulate(
             task,
             folder,
             lambda done, total, best: common.note(f"{done} of {total}: rms {best:.3g}") if done == total else None,
+            resume,
         )
         documents.append(formulation_document(found))
         if not as_json:

@@ -20,7 +20,8 @@ from typing import Any
 
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import read_text
-from nacre.core.parallel import available_jobs, in_threads, notify_progress, single_threaded_blas
+from nacre.core.parallel import available_jobs, in_threads, notify_progress, on_progress, single_threaded_blas
+from nacre.core.progress import Clock, announce, duration
 
 Task = Callable[[Any, Any], Any]  # (shared, item) -> result; a function of a module, so that workers can import it
 SINGLE_THREADED = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "NACRE_JOBS")}
@@ -30,6 +31,7 @@ MAX_BATCH = 256
 MAX_RESTARTS = 5  # of the worker processes without a result in between
 CONNECT_TIMEOUT_S = 10
 START_WORKERS_S = 10.0  # of remaining work, for callers whose work may be short; a worker process takes 2 s to start
+ANNOUNCED_S = 20.0  # of remaining work
 SECURITY_KEYS = ("ca", "cert", "key")
 
 
@@ -84,17 +86,24 @@ def is_on_cluster() -> bool:
 
 
 def in_workers(
-    work: Callable[[Any], Any], items: Sequence[Any], keep: Callable[[Any, Any], None] | None = None
+    work: Callable[[Any], Any],
+    items: Sequence[Any],
+    keep: Callable[[Any, Any], None] | None = None,
+    description: str = "",
 ) -> list[Any]:
     """Return `work(item)` for all items, in order: in threads, or on the cluster of `on_cluster`.
 
     Args:
         work: a pure function; a cluster receives it with all that it captures.
         keep: called in this thread with an item and its result as soon as both are known, to store them.
+        description: announced once the first items show that the rest takes longer than `ANNOUNCED_S`.
 
     Raises:
         NacreError: the cluster cannot be reached.
     """
+    if description:
+        with on_progress(_announcer(description)):
+            return in_workers(work, items, keep)
     if not _cluster:
         return in_threads(work, items, keep=keep)
     found: list[Any] = [None] * len(items)
@@ -104,6 +113,20 @@ def in_workers(
             keep(items[number], result)
         notify_progress(done, len(items))
     return found
+
+
+def _announcer(description: str) -> Callable[[int, int], None]:
+    """Return a progress listener that announces long work once."""
+    clock, is_said = Clock(), False
+
+    def hear(done: int, total: int) -> None:
+        nonlocal is_said
+        left = clock.left(done, total)
+        if done > 1 and left > ANNOUNCED_S and not is_said:
+            is_said = True
+            announce(f"{description}: about {duration(left)} for {total - done} of {total} patterns", left)
+
+    return hear
 
 
 def _apply(work: Callable[[Any], Any], item: Any) -> Any:

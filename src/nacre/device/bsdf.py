@@ -27,7 +27,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.device.lobe_sum import DevicePolarisation, bsdf_class, update_lobes
 from nacre.device.plugin import LobePlugin, logger
-from nacre.device.texture import ObjectFrame, ObjectSpace
+from nacre.device.tables import ObjectFrame, ObjectSpace
 from nacre.device.variant import RGB, VARIANTS
 from nacre.light import spectrum_to_rgb_matrix
 

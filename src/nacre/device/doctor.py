@@ -84,11 +84,14 @@ def _rendering() -> list[Finding]:
     return findings
 
 
+ON_GPU = "pictures are rendered on it, in cuda_ad_spectral; NACRE_VARIANT=llvm_ad_spectral keeps them on the CPU"
+
+
 def _gpu() -> Finding:
     tool = shutil.which("nvidia-smi")
     if tool is None:
         return Finding("GPU", "note", "none found; the CPU does everything")
-    return Finding("GPU", "ok", "an NVIDIA driver is here", "set NACRE_VARIANT=cuda_ad_spectral to render on it")
+    return Finding("GPU", "ok", "an NVIDIA driver is here", ON_GPU)
 
 
 def _cache() -> Finding:

@@ -18,8 +18,7 @@ from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.polarisation import InterfacePolarisation
 from nacre.core.errors import UnsupportedError
 from nacre.device.plugin import Facet, LobePlugin, UniformNodes, is_radiance, larger, negated, opaque, smaller, with_wi
-from nacre.device.tables import DeviceTable, WavelengthAxis
-from nacre.device.texture import ObjectSpace
+from nacre.device.tables import DeviceTable, ObjectSpace, WavelengthAxis
 from nacre.device.variant import depolarised
 
 

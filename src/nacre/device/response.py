@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from nacre.bsdf.response import InterfaceResponse, dyadic_levels, is_uniform
 from nacre.core.errors import UnsupportedError
 from nacre.device.plugin import UniformNodes, larger, opaque, opaque_int, smaller
-from nacre.device.tables import DeviceTable, Located, WavelengthAxis
-from nacre.device.texture import DeviceParameters
+from nacre.device.tables import DeviceParameters, DeviceTable, Located, WavelengthAxis
 
 MIN_SHARE = 0.1  # limits the weight of wavelengths far from the mean
 # relative power, comparable to the device's precision: a soap film, which absorbs up to 0.7e-4, then needs a quarter

@@ -14,10 +14,16 @@ from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.core.files import atomic_path, check_writable, write_text
-from nacre.formats.calibration import find_calibration, linear_calibration
-from nacre.formats.layouts import write_layout, write_levels, write_points_csv
+from nacre.formats.layouts import (
+    find_calibration,
+    linear_calibration,
+    write_layout,
+    write_levels,
+    write_pixel_field,
+    write_points_csv,
+)
 from nacre.formats.number_maps import write_png16, write_stl, write_tiff16
-from nacre.matter.drawings import Drawing, HeightMap, LayerSheet, Layout
+from nacre.matter.drawings import CellField, Drawing, HeightMap, LayerSheet, Layout
 
 SUFFIXES = {
     "png16": ".png",
@@ -79,6 +85,8 @@ def write_drawing(drawing: Drawing, to: str, path: Path, source: str, options: H
     facts: dict[str, Any] = {"format": to, "source": source, "nacre": __version__}
     if isinstance(drawing, Layout):
         _write_layout(drawing, to, path, facts)
+    elif isinstance(drawing, CellField):
+        _write_field(drawing, to, path, options.size_mm, facts)
     else:
         _write_heights(drawing, to, path, options, facts)
     beside = path.with_name(path.name + ".json")
@@ -94,7 +102,7 @@ def _refuse_unused(drawing: Drawing, to: str, options: HeightOptions) -> None:
     """
     is_map = isinstance(drawing, HeightMap)
     takes = {
-        "--size-mm": isinstance(drawing, Layout) or (is_map and to != "csv"),
+        "--size-mm": isinstance(drawing, Layout | CellField) or (is_map and to != "csv"),
         "--calibration": is_map and to in ("png16", "tiff16"),
         "--levels": is_map and to in ("gds", "oas"),
         "--seed": isinstance(drawing, Layout),
@@ -149,6 +157,22 @@ def _write_layout(drawing: Layout, to: str, path: Path, facts: dict[str, Any]) -
         "radius_um": drawing.radius_um,
         **drawing.facts,
     }
+
+
+def _write_field(
+    drawing: CellField, to: str, path: Path, size_mm: tuple[float, float] | None, facts: dict[str, Any]
+) -> None:
+    """Write a cell, repeated by an array over the area."""
+    if path.suffix.lower() != SUFFIXES[to]:
+        raise UnsupportedError(f"{path}: --to {to} needs a name that ends in {SUFFIXES[to]}")
+    x, y = drawing.pitch_nm
+    columns, rows = (1, 1) if size_mm is None else (_tiles(size_mm, 1e-3 * x)[0], _tiles(size_mm, 1e-3 * y)[1])
+    write_pixel_field(path, np.zeros((1, 1), dtype=np.int64), [drawing.polygons], drawing.pitch_nm, (columns, rows))
+    facts |= {
+        "unit": "um", "pitch_nm": [x, y], "periods": [columns, rows],
+        "covers_mm": [columns * x * 1e-6, rows * y * 1e-6], "seen": "from the light's side; x to the right, y upward",
+        **drawing.facts,
+    }  # fmt: skip
 
 
 def _write_heights(drawing: HeightMap, to: str, path: Path, options: HeightOptions, facts: dict[str, Any]) -> None:

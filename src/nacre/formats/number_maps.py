@@ -17,8 +17,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path, check_writable, write_text
 from nacre.core.memory import check_memory
-from nacre.formats.calibration import LARGEST_GREY, is_monotonic, read_curve
-from nacre.formats.layouts import MAX_LEVELS, write_levels
+from nacre.formats.layouts import LARGEST_GREY, MAX_LEVELS, is_monotonic, read_curve, write_levels
 
 # Parameter maps over a surface as fabrication files: grey images, level masks, tables.
 #

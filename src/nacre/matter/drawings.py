@@ -94,5 +94,22 @@ class HeightMap:
     stem: str = "relief"
 
 
-Drawing = LayerSheet | Layout | HeightMap
+@dataclass(frozen=True)
+class CellField:
+    """A rectangular cell of polygons that fills a field.
+
+    Attributes:
+        polygons: layer, and corners `[corner, 2]` in nm about the cell's centre.
+        pitch_nm: sides of the cell along x and y.
+        facts: further data for the file beside it.
+        stem: default file stem.
+    """
+
+    polygons: tuple[tuple[int, Array], ...]
+    pitch_nm: tuple[float, float]
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    stem: str = "grating"
+
+
+Drawing = LayerSheet | Layout | HeightMap | CellField
 Drawer = Callable[[DrawingRequest], Drawing]

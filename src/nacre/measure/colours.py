@@ -1,13 +1,17 @@
-"""CIELAB colours of a material at named geometries, and the wavelength grids on which they are computed."""
+"""CIELAB colours of a material at named geometries with their wavelength grids, and gloss."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from nacre.bsdf.bsdf import Bsdf, Spectrum
+from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.light import lamp_lines_nm, spectrum_to_xyz, white_xyz, with_lamp_lines, xyz_to_lab
@@ -153,3 +157,171 @@ def geometry_colours(
             if factors is not None:
                 xyz[row] = spectrum_to_xyz(factors, spectrum.wavelengths_nm, illuminant, observer)
     return np.asarray(xyz_to_lab(xyz, white_xyz(illuminant, observer)))
+
+
+# Approximate the glossy part of scattered light by a rough mirror (GGX microfacets, Trowbridge and Reitz).
+#
+# Nearly flat flakes and measured coatings scatter most light into a lobe about the mirror direction. The width of the
+# lobe and its strength over the angle are determined from about eleven direction pairs. The rest remains diffuse.
+#
+# `fit_lobes` needs values without noise, and sums up to three such mirrors: one width does not describe a lobe that
+# widens towards grazing angles, as below an interface.
+
+TILTS_DEG = np.array([1.5, 3.0, 6.0, 12.0, 24.0, 50.0])  # of the half vector; the last one measures the background
+AT_DEG = 20.0  # difference angle at which the width is determined
+FALL = 0.4  # of the peak, at the tilt that gives the width
+LEAST_PEAK = 2.0  # relative to the background; lower lobes count as diffuse
+NARROWEST, WIDEST = 0.02, 0.7
+RINGS_DEG = np.array([0.0, 1, 2, 3, 4.5, 6, 8, 11, 15, 20, 27, 36, 50, 90])  # borders of rings of half-vector tilt
+RING_NODES, AZIMUTHS = 3, 8  # quadrature points across a ring and along half of it
+ALPHAS = np.geomspace(0.03, 0.6, 9)
+MOST_LOBES, LEAST_SHARE = 3, 0.02  # of the scattered light, at any angle
+WHOLE = 10.0  # weight of the whole power relative to that within a ring
+
+
+@dataclass(frozen=True)
+class Gloss:
+    """A lobe about the mirror direction.
+
+    Attributes:
+        alpha: roughness of the mirror.
+        reflectance: `[angle, wavelength]`, at most the scattered light of the material.
+    """
+
+    alpha: float
+    reflectance: Array
+
+
+def find_gloss(bsdf: Bsdf, theta_rad: Array, spread: Array, samples: int | None = None) -> Gloss | None:
+    """Return the glossy part of the scattered light of a Bsdf, or None.
+
+    Args:
+        bsdf: specular and microfacet lobes are ignored.
+        theta_rad: `[angle]`, below pi/2.
+        spread: scattered reflectance `[angle, wavelength]`.
+        samples: random walks per direction pair; None: default of `nacre.evaluate`.
+    """
+    lobes = tuple(lobe for lobe in bsdf.lobes if not lobe.is_delta and not isinstance(lobe, Microfacet))
+    if not lobes:
+        return None
+    rest = dataclasses.replace(bsdf, lobes=lobes)
+    return fit_gloss(
+        lambda wi, wo: np.asarray(evaluate_with_error(rest, wi, wo, samples=samples)[0]), theta_rad, spread
+    )
+
+
+def fit_gloss(values_at: Callable[[Array, Array], Array], theta_rad: Array, spread: Array) -> Gloss | None:
+    """Return the rough mirror that fits a BSDF about the mirror direction, or None if it lacks a lobe there.
+
+    Without shadowing a microfacet lobe is f = R D(h) / (4 cos_i cos_o), and GGX falls with the tilt t of the half
+    vector as D(t) / D(0) = (a^2 / (sin^2 t + a^2 cos^2 t))^2, D(0) = 1 / (pi a^2) (Walter et al. 2007, eq. 33).
+
+    Args:
+        values_at: returns f `[pair, wavelength]`, 1/sr, at unit vectors to light and viewer `[pair, 3]`.
+        theta_rad, spread: see `find_gloss`.
+    """
+    tilts = np.radians(TILTS_DEG)
+    wi, wo = (np.concatenate(parts) for parts in zip(_pairs(theta_rad, 0.0 * theta_rad), _pairs(_same(tilts), tilts)))
+    values = np.nan_to_num(values_at(wi, wo))
+    ground = values[-1]  # f far from the lobe
+    above = np.maximum(values - ground, 0.0) * (wi[:, 2] * wo[:, 2])[:, None]
+    straight, tilted = above[: len(theta_rad)], above[len(theta_rad) : -1]
+    peak = sum(float(np.interp(np.radians(AT_DEG), theta_rad, band)) for band in straight.T)
+    if peak <= (LEAST_PEAK - 1.0) * float(ground.sum()) * np.cos(np.radians(AT_DEG)) ** 2:
+        return None
+    fall = tilted.sum(axis=1) / peak
+    best = int(np.argmin(np.abs(fall - FALL)))
+    root = np.sqrt(np.clip(fall[best], 1e-4, 0.999))
+    square = root * np.sin(tilts[best]) ** 2 / (1.0 - root * np.cos(tilts[best]) ** 2)
+    alpha = float(np.clip(np.sqrt(square), NARROWEST, WIDEST))
+    return Gloss(alpha, np.minimum(4.0 * np.pi * alpha**2 * straight, spread))
+
+
+def fit_lobes(values_at: Callable[[Array, Array], Array], theta_rad: Array, spread: Array) -> list[Gloss]:
+    """Return rough mirrors that approximate noise-free scattered light at each viewing angle; the rest is diffuse.
+
+    The power within each tilt of the half vector is fitted by non-negative least squares, relative to the whole power;
+    up to three widths are chosen for all angles together.
+
+    Args:
+        values_at: as of `fit_gloss`.
+        theta_rad, spread: see `find_gloss`.
+
+    Returns:
+        mirrors by rising width; `reflectance` is that of the mirror without shadowing losses.
+    """
+    from scipy.optimize import nnls
+
+    powers, shapes = zip(*(_ring_powers(values_at, float(theta)) for theta in theta_rad), strict=True)
+    weights = np.ones(len(RINGS_DEG) - 1)
+    weights[-1] = WHOLE
+    held = [np.cumsum(power, axis=0) for power in powers]
+    bases = [weights[:, None] * np.cumsum(shape, axis=0) for shape in shapes]
+    mean = [weights * one.sum(axis=1) / max(float(one[-1].sum()), 1e-12) for one in held]
+    diffuse = len(ALPHAS)
+    best = min(
+        itertools.combinations(range(diffuse), MOST_LOBES),
+        key=lambda chosen: sum(nnls(b[:, [*chosen, diffuse]], m)[1] ** 2 for b, m in zip(bases, mean, strict=True)),
+    )
+    found = np.zeros((MOST_LOBES, *spread.shape))
+    share = np.zeros(found.shape)
+    for i, (basis, power) in enumerate(zip(bases, held, strict=True)):
+        used = basis[:, [*best, diffuse]]
+        for band in range(spread.shape[1]):
+            whole = max(float(power[-1, band]), 1e-12)
+            factors, _ = nnls(used, weights * power[:, band] / whole)
+            part = factors * used[-1] / WHOLE
+            scale = spread[i, band] / max(float(part.sum()), 1e-12)
+            found[:, i, band], share[:, i, band] = factors[:-1] * scale, (part / max(part.sum(), 1e-12))[:-1]
+    kept = [k for k in range(MOST_LOBES) if share[k].max() > LEAST_SHARE]
+    return [Gloss(float(ALPHAS[best[k]]), found[k]) for k in kept]
+
+
+def _ring_powers(values_at: Callable[[Array, Array], Array], theta: float) -> tuple[Array, Array]:
+    """Return the power within rings of half-vector tilt, seen at an angle.
+
+    Returns:
+        `[ring, wavelength]` of the material, and `[ring, alpha]` of white mirrors, the last of a white diffuser.
+    """
+    node, weight = np.polynomial.legendre.leggauss(RING_NODES)
+    low, high = np.radians(RINGS_DEG[:-1, None]), np.radians(RINGS_DEG[1:, None])
+    tilt = np.broadcast_to((low + 0.5 * (high - low) * (1 + node))[..., None], (len(low), RING_NODES, AZIMUTHS))
+    phi = (np.arange(AZIMUTHS) + 0.5) * np.pi / AZIMUTHS
+    half = np.stack([np.sin(tilt) * np.cos(phi), np.sin(tilt) * np.sin(phi), np.cos(tilt)], axis=-1)
+    wo = np.array([np.sin(theta), 0.0, np.cos(theta)])
+    towards = half @ wo
+    wi = 2 * towards[..., None] * half - wo
+    measure = np.sin(tilt) * 4 * towards * (0.5 * (high - low) * weight)[..., None] * (2 * np.pi / AZIMUTHS)
+    is_seen = (towards > 0) & (wi[..., 2] > 1e-4)
+    measure = np.where(is_seen, measure * wi[..., 2], 0.0)
+    ring = np.broadcast_to(np.arange(len(low))[:, None, None], is_seen.shape)[is_seen]
+    seen, area = wi[is_seen], measure[is_seen]
+    values = np.nan_to_num(values_at(seen, np.broadcast_to(wo, seen.shape)))
+    white = np.stack(
+        [*(_mirror(alpha, seen, wo, half[is_seen]) for alpha in ALPHAS), np.full(len(seen), 1 / np.pi)], -1
+    )
+    sums: list[Array] = []
+    for one in (values, white):
+        total = np.zeros((len(low), one.shape[-1]))
+        np.add.at(total, ring, one * area[:, None])
+        sums.append(total)
+    return sums[0], sums[1]
+
+
+def _mirror(alpha: float, wi: Array, wo: Array, half: Array) -> Array:
+    """Return a white rough mirror's f: GGX with height-correlated masking (Heitz 2014, eq. 99)."""
+    z2 = half[:, 2] ** 2
+    density = alpha**2 / (np.pi * (1 - z2 + alpha**2 * z2) ** 2)
+    masks = [0.5 * (np.sqrt(1 + alpha**2 * (1 - w[..., 2] ** 2) / w[..., 2] ** 2) - 1) for w in (wi, wo)]
+    return np.asarray(density / ((1 + masks[0] + masks[1]) * 4 * wi[:, 2] * wo[2]))
+
+
+def _same(tilts: Array) -> Array:
+    return np.full(tilts.shape, np.radians(AT_DEG))
+
+
+def _pairs(difference: Array, tilt: Array) -> tuple[Array, Array]:
+    """Return directions to light and viewer for half vectors that are tilted out of their plane."""
+    half = np.stack([0.0 * tilt, np.sin(tilt), np.cos(tilt)], axis=-1) * np.cos(difference)[:, None]
+    side = np.array([1.0, 0.0, 0.0]) * np.sin(difference)[:, None]
+    return half + side, half - side

@@ -10,7 +10,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,26 +21,14 @@ from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import check_room, read_text, write_text
 from nacre.core.jobs import START_WORKERS_S, Workers, run_jobs
+from nacre.optimise.checkpoint import Checkpointer
 from nacre.optimise.colour_list import ColourRow, read_colours
 from nacre.optimise.evaluation import TargetResult, evaluate
-from nacre.optimise.run import (
-    budget_of,
-    choose_search,
-    document_of,
-    evaluate_solution,
-    tolerance_of,
-    with_method_overrides,
-)
-from nacre.optimise.solutions import NEED_BYTES, RECIPE, Solution, write_recipe
+from nacre.optimise.relief.task import ReliefTask
+from nacre.optimise.run import document_of, read_target, search_of
+from nacre.optimise.solutions import NEED_BYTES, RECIPE, Solution
 from nacre.optimise.targets import Target
-from nacre.optimise.task import (
-    DesignTask,
-    check_task,
-    is_relief_task,
-    palette_name,
-    read_data,
-    total_thickness_nm,
-)
+from nacre.optimise.task import DesignTask, palette_name, total_thickness_nm
 from nacre.optimise.thin_film.adapter import thin_film_search_many
 from nacre.recipe.fingerprint import file_digest
 
@@ -50,6 +38,7 @@ MAX_NAME_LENGTH = 60
 HEADINGS = "name folder L a b reached_L reached_a reached_b de00 geometry lamp met total_nm".split()
 
 Progress = Callable[[int, int], None]
+Task = DesignTask | ReliefTask
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +57,7 @@ class BatchDesign:
 
 
 def many(
-    target: str | Path | Mapping[str, Any],
+    target: str | Path | Mapping[str, Any] | Task,
     labs: ArrayLike | str | Path,
     out: str | Path | None = None,
     *,
@@ -91,8 +80,8 @@ def many(
         progress: called with (done, total).
 
     Raises:
-        NacreError: the target is not usable, or has free relief heights, or the colours have another shape, or the
-            folder cannot be written.
+        NacreError: the target is not usable, or has free relief heights, which are files, without `out`, or the colours
+            have another shape, or the folder cannot be written.
 
     Example: `nacre.design.many("paint.toml", [(50, 20, 10), (60, -30, 5)])[0].targets[0].distance`.
     """
@@ -100,7 +89,7 @@ def many(
 
 
 def design_batch(
-    target: str | Path | Mapping[str, Any],
+    target: str | Path | Mapping[str, Any] | Task,
     labs: ArrayLike | str | Path,
     out: str | Path | None = None,
     *,
@@ -109,30 +98,38 @@ def design_batch(
     progress: Progress | None = None,
 ) -> BatchDesign:
     """As `many`, with table rows. After an interrupt the folder contains the finished designs."""
-    task = _read(target)
-    light = task.spec.light
+    task = read_target(target)
+    _check(task, out)
+    light = task.light
     geometries = [str(one.geometry) for one in task.targets if one.texture is None]
     names = [str(one.geometry) for one in task.targets if one.texture is not None]
     rows = read_colours(labs, len(geometries), (light.illuminants[0], light.observer), geometries, names)
-    tasks = [replace(task, targets=_targets(task, row)) for row in rows]
-    if out is None:
-        solutions: dict[int, Solution] = {}
-        _solve(task, tasks, range(len(rows)), _collector(solutions, len(rows), progress), workers)
-        return BatchDesign([solutions[number] for number in range(len(rows))], [], None)
-    folder = _BatchFolder(Path(out), task, rows, resume)
-    solutions = {number: found for number in folder.done if (found := folder.read(number, tasks[number]))}
-    remaining = [number for number in range(len(rows)) if number not in solutions]
-    collect = _collector(solutions, len(rows), progress)
+    tasks = [task.with_targets(_targets(task, row)) for row in rows]
+    folder = None if out is None else _BatchFolder(Path(out), task, rows, resume)
+    solutions = {} if folder is None else folder.earlier(tasks)
+
+    def collect(number: int, changes: dict[str, Any], results: list[TargetResult], facts: dict[str, Any]) -> None:
+        place = None if folder is None else folder.place(number)
+        solutions[number] = tasks[number].solution(changes, results, facts, place)
+        if folder is not None:
+            folder.add(number, tasks[number], solutions[number])
+        if progress is not None:
+            progress(len(solutions), len(rows))
+
     try:
-        _solve(task, tasks, remaining, lambda n, found: collect(n, folder.add(n, tasks[n], found)), workers)
+        _solve(tasks, [n for n in range(len(rows)) if n not in solutions], collect, workers)
     except BaseException as error:
-        folder.write("interrupted" if isinstance(error, KeyboardInterrupt) else "stopped")
+        if folder is not None:
+            folder.write("interrupted" if isinstance(error, KeyboardInterrupt) else "stopped")
         raise
+    found = [solutions[number] for number in range(len(rows))]
+    if folder is None:
+        return BatchDesign(found, [], None)
     folder.write("done")
-    return BatchDesign([solutions[number] for number in range(len(rows))], folder.rows, folder.folder)
+    return BatchDesign(found, folder.rows, folder.folder)
 
 
-def _targets(task: DesignTask, row: ColourRow) -> tuple[Target, ...]:
+def _targets(task: Task, row: ColourRow) -> tuple[Target, ...]:
     """Return the targets with the colours of a row, and with its texture where it states one."""
     labs = iter(row.lab)
     return tuple(
@@ -141,78 +138,60 @@ def _targets(task: DesignTask, row: ColourRow) -> tuple[Target, ...]:
     )
 
 
-def _collector(
-    solutions: dict[int, Solution], total: int, progress: Progress | None
-) -> Callable[[int, Solution], None]:
-    def collect(number: int, solution: Solution) -> None:
-        solutions[number] = solution
-        if progress is not None:
-            progress(len(solutions), total)
-
-    return collect
-
-
-def _read(target: str | Path | Mapping[str, Any]) -> DesignTask:
-    data, context = read_data(target)
-    if not isinstance(data.get("target"), list):
-        raise NacreError(f"{context.source}: has no [[target]]; add one, whose colour is replaced")
-    if is_relief_task(data):
-        raise NacreError(f"{context.source}: relief heights are designed for one target at a time; use nacre.design")
-    task = check_task(data, context)
-    if task.targets[0].image is not None:
-        raise NacreError(f"{task.context.source}: target[0].image: a picture is not a single colour; use nacre.design")
+def _check(task: Task, out: str | Path | None) -> None:
+    """Refuse a target whose colours cannot be replaced, and a relief without a folder."""
+    source = task.context.source
+    if isinstance(task, ReliefTask) and task.asked is None:
+        raise NacreError(f"{source}: has no [[target]]; add one, whose colour is replaced")
+    if task.image_kind:
+        raise NacreError(f"{source}: target[0].image: a picture is not a single colour; use nacre.design")
     if all(target.texture is not None for target in task.targets):
-        raise NacreError(f"{task.context.source}: has texture targets only; add one with a colour, which is replaced")
-    return task
+        raise NacreError(f"{source}: has no target with a colour, which is replaced; add one")
+    if isinstance(task, ReliefTask) and out is None:
+        raise NacreError(f"{source}: relief heights are files; give a folder for them")
 
 
 def _solve(
-    task: DesignTask,
-    tasks: Sequence[DesignTask],
-    numbers: Sequence[int],
-    collect: Callable[[int, Solution], None],
-    workers: Workers | None,
+    tasks: Sequence[Task], numbers: Sequence[int], collect: Callable[..., None], workers: Workers | None
 ) -> None:
-    """Search the tasks with the given numbers; call `collect` for each, one at a time.
+    """Search the tasks with the given numbers; call `collect` with number, changes, results and facts, one at a time.
 
     Raises:
         KeyboardInterrupt: on an interrupt; collected solutions remain.
     """
     lock = threading.Lock()
+    stacks = [task for task in tasks if isinstance(task, DesignTask)]
 
     def evaluate_stack(number: int, changes: dict[str, Any]) -> None:
         with lock:
-            one = tasks[number]
+            one = stacks[number]
             material = one.material.vary(changes)
-            results, _ = evaluate(material, one.targets, one.spec.light, seed=one.spec.search.seed)
+            results, _ = evaluate(material, one.targets, one.light, seed=one.spec.search.seed)
             total = total_thickness_nm(material)
-            collect(number, Solution(None, material, changes, results, {"total_nm": total} if total else {}))
+            collect(number, changes, results, {"total_nm": total} if total else {})
 
-    is_plain = not task.spec.tolerance and task.spec.limits.max_layers is None
-    if is_plain and thin_film_search_many(task, tasks, numbers, evaluate_stack):
+    if stacks and thin_film_search_many(stacks, numbers, evaluate_stack):
         return
     remaining = [tasks[number] for number in numbers]
-    found = run_jobs(_search, task.context.source, remaining, workers, start_workers_s=START_WORKERS_S)
-    for index, solution in found:
-        collect(numbers[index], solution)
+    for index, found in run_jobs(_search, None, remaining, workers, start_workers_s=START_WORKERS_S):
+        collect(numbers[index], *found)
 
 
-def _search(source: str, task: DesignTask) -> Solution:
-    """Return the best solution of one task; runs in a worker.
+def _search(_: None, task: Task) -> tuple[dict[str, Any], list[TargetResult], dict[str, Any]]:
+    """Return changes, results and facts of a task's best solution; runs in a worker.
 
     Raises:
         KeyboardInterrupt: on an interrupt.
         RecipeError: all candidates fail.
     """
-    search = choose_search(task, task.spec.search.seed)
-    budget = budget_of(task, search)
-    result = search.run(budget)
+    work = search_of(task, Checkpointer(Path(), ""))
+    result = work.search.run(work.budget())
     if result.status == "interrupted":
         raise KeyboardInterrupt
-    solution = evaluate_solution(task, result.solutions[0][1], budget.reserved_s, 0.0) if result.solutions else None
+    solution = work.evaluated(result.solutions[0][1]) if result.solutions else None
     if solution is None:
-        raise RecipeError(f"{source}: the recipe cannot be computed anywhere in its bounds")
-    return solution
+        raise RecipeError(f"{task.context.source}: the recipe cannot be computed anywhere in its bounds")
+    return solution.changes, solution.targets, solution.facts
 
 
 class _BatchFolder:
@@ -229,7 +208,7 @@ class _BatchFolder:
         NacreError: the folder cannot be written.
     """
 
-    def __init__(self, folder: Path, task: DesignTask, rows: Sequence[ColourRow], resume: bool) -> None:
+    def __init__(self, folder: Path, task: Task, rows: Sequence[ColourRow], resume: bool) -> None:
         if not rows:
             raise RecipeError(f"{folder}: the list of colours is empty; give at least one")
         self.folder, self.task, self.colours = folder, task, rows
@@ -289,42 +268,47 @@ class _BatchFolder:
         """Finished row documents."""
         return [self._documents[number] for number in self.done]
 
-    def add(self, number: int, task: DesignTask, solution: Solution) -> Solution:
-        """Write a solution; return it with its file.
+    def place(self, number: int) -> Path:
+        """Return a row's folder, planned before the first solution is written.
 
         Raises:
             NacreError: the folder cannot be written.
         """
         if not self._is_planned:
             self._plan()
-        start = self.task.material
-        changes = with_method_overrides(start, solution.changes)
-        place = self.folder / self.names[number]
-        path, files = write_recipe(place, start, changes, tolerance_of(task, solution), solution.material)
-        written = replace(solution, recipe=path, facts={**solution.facts, "files": files})
+        return self.folder / self.names[number]
+
+    def add(self, number: int, task: Task, solution: Solution) -> None:
+        """Note a written solution.
+
+        Raises:
+            NacreError: the folder cannot be written.
+        """
+        assert solution.recipe is not None
         row = self.colours[number]
         document = {
             "name": row.name, "folder": self.names[number], "lab": row.lab.tolist(), "met": solution.is_met,
-            "recipe_digest": file_digest(path),
+            "recipe_digest": file_digest(solution.recipe),
         } | ({"texture": row.texture} if row.texture else {})  # fmt: skip
-        self._documents[number] = document | document_of(written, task)
+        self._documents[number] = document | document_of(solution, task.light)
         if time.monotonic() - self._last > WRITE_INTERVAL_S:
             self.write("running")
-        return written
 
-    def read(self, number: int, task: DesignTask) -> Solution | None:
-        """Return an earlier run's solution, with its evaluation; None, and forget it, if its row is damaged."""
-        try:
-            return self._read(number, self._documents[number], task)
-        except (KeyError, TypeError, ValueError, AttributeError, NacreError):
-            del self._documents[number]
-            return None
+    def earlier(self, tasks: Sequence[Task]) -> dict[int, Solution]:
+        """Return an earlier run's solutions, with their evaluation; a damaged row is forgotten."""
+        found = {}
+        for number in self.done:
+            try:
+                found[number] = self._read(number, self._documents[number], tasks[number])
+            except (KeyError, TypeError, ValueError, AttributeError, NacreError):
+                del self._documents[number]
+        return found
 
-    def _read(self, number: int, one: dict[str, Any], task: DesignTask) -> Solution:
+    def _read(self, number: int, one: dict[str, Any], task: Task) -> Solution:
         pairs = [
             (target, lamp)
             for target in task.targets
-            for lamp in (task.spec.light.illuminants if target.texture is None else [None])
+            for lamp in (task.light.illuminants if target.texture is None else [None])
         ]
         results = [
             TargetResult(target, None, None, None, r["off_percent"], r["noise"], r["reached"][str(target.geometry)])
@@ -339,7 +323,7 @@ class _BatchFolder:
         path = self.folder / self.names[number] / RECIPE
         if one.get("recipe_digest", "") not in ("", file_digest(path)):
             raise ValueError(f"{path}: is not the recipe of the summary")
-        return Solution(path, self.task.material.vary(one["changes"]), one["changes"], results, facts)
+        return Solution(path, task.read(path.parent, one["changes"]), one["changes"], results, facts)
 
     def write(self, status: str) -> None:
         """Write table and summary; remove solutions for colours that left the list.

@@ -8,17 +8,18 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import read_text, write_text
 from nacre.optimise.problem import Budget, Changes, Result, Search
-from nacre.optimise.solutions import Design, DesignProgress, claim, write_summary
+from nacre.optimise.solutions import Design, DesignProgress, Solution, claim, write_summary
 
 STATE = "search.json"
 WRITE_INTERVAL_S = 2.0
+Answer = TypeVar("Answer", covariant=True)
 
 
 @dataclass
@@ -90,7 +91,7 @@ def unreadable(folder: Path) -> NacreError:
     return NacreError(f"{folder / STATE}: cannot be read to resume; delete it to start afresh")
 
 
-class DesignFolder(abc.ABC):
+class DesignFolder(abc.ABC, Generic[Answer]):
     """A search at work, and the folder that always holds its best solution.
 
     Attributes:
@@ -98,20 +99,21 @@ class DesignFolder(abc.ABC):
         search: the method.
         checkpointer: of the search state.
         seconds: time limit.
+        jobs: threads of a search that uses several; default: all cores.
     """
 
     search: Search
 
     def __init__(
         self,
-        folder: Path,
         checkpointer: Checkpointer,
         begun: float,
         seconds: float,
         progress: Callable[[DesignProgress], None] | None,
+        jobs: int | None,
     ) -> None:
-        self.folder, self.checkpointer, self.begun, self.seconds = folder, checkpointer, begun, seconds
-        self._progress, self._written = progress, Changes()
+        self.folder, self.checkpointer, self.begun, self.seconds = checkpointer.folder, checkpointer, begun, seconds
+        self.jobs, self._progress, self._written = jobs, progress, Changes()
 
     @abc.abstractmethod
     def budget(self) -> Budget:
@@ -122,8 +124,32 @@ class DesignFolder(abc.ABC):
         """Write the files of the best solution so far; return its part of design.json."""
 
     @abc.abstractmethod
-    def finish(self, result: Result) -> Design:
+    def finish(self, result: Result) -> Answer:
         """Evaluate the solutions with the reference model, write them and the report."""
+
+    def claim(self) -> None:
+        """Mark the folder as this design's before its first file."""
+        claim(self.folder)
+
+    def write_running(self, part: dict[str, Any]) -> None:
+        """Write the part of the best solution so far into the summary."""
+        write_summary(self.folder, {"status": "running", "seconds": round(self.spent_s, 3), **part})
+
+    def design(self, source: str) -> Answer:
+        """Search, write the checkpoint, and finish.
+
+        Raises:
+            KeyboardInterrupt: before there was a solution.
+            RecipeError: all candidates fail.
+        """
+        result = self.search.run(self.budget(), self.update, self.checkpointer.solutions)
+        if not result.solutions and result.status == "interrupted":
+            raise KeyboardInterrupt
+        if not result.solutions:
+            raise RecipeError(f"{source}: the recipe cannot be computed anywhere in its bounds")
+        self.claim()
+        self.save([changes for _, changes in result.solutions])
+        return self.finish(result)
 
     @property
     def spent_s(self) -> float:
@@ -139,9 +165,8 @@ class DesignFolder(abc.ABC):
         """Write a better solution if the last one was written some time ago, and report progress."""
         if changes and changes is not self._written and self.checkpointer.is_due:
             self._written = changes
-            claim(self.folder)
-            part = self.write_best(worst, changes)
-            write_summary(self.folder, {"status": "running", "seconds": round(self.spent_s, 3), **part})
+            self.claim()
+            self.write_running(self.write_best(worst, changes))
             self.save([changes])
         if self._progress is not None:
             left, evaluations = max(self.left_s, 0.0), self.search.budget.used
@@ -155,3 +180,11 @@ class DesignFolder(abc.ABC):
         """
         candidates, progress = self.search.state(solutions)
         self.checkpointer.update(candidates, **progress)
+
+
+class SolvableFolder(DesignFolder[Design]):
+    """A design of one recipe, which a list of colours repeats."""
+
+    @abc.abstractmethod
+    def evaluated(self, changes: Changes) -> Solution | None:
+        """Return a solution evaluated with the reference model, without its files; None if that fails."""

@@ -134,13 +134,13 @@ def _file_rows(
         raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
     try:
         text = decode(data)
-        named_hex = _hex_rows(path, list(_cells(text)), targets, light or DEFAULT_LIGHT)
+        named_hex = _hex_rows(path, list(cells_of(text)), targets, light or DEFAULT_LIGHT)
         if len(named_hex) > MAX_ROWS:
             raise NacreError(f"{path}: contains {len(named_hex)} rows; at most {MAX_ROWS} are allowed")
         if named_hex:
             return named_hex
         table = _headed(path, text)
-        lines = [] if table is not None else list(_cells(text))
+        lines = [] if table is not None else list(cells_of(text))
     except (UnicodeDecodeError, csv.Error):
         raise NacreError(f"{path}: is not a CSV of L, a, b") from None
     count = len(lines) if table is None else len(table.rows)
@@ -196,7 +196,7 @@ def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, ligh
     name = next((i for i, cell in enumerate(heading) if any(each.quantity == "name" for each in meanings(cell))), None)
     names = [row[name] if name is not None else "" for _, row in lines[1:]]
     data = {"srgb": np.array([srgb_of_hex(path, f"#{each}") for each in digits])}
-    metadata = {"illuminant": light[0], "observer": light[1], "names": names}
+    metadata = {"names": names}
     _, lab = _adapted(path, [Measurement(path, "table", "colours", data, "", metadata)], light)
     return [ColourRow(one, np.repeat(each[None], targets, axis=0)) for one, each in zip(names, lab, strict=True)]
 
@@ -372,7 +372,7 @@ def _column(table: TextTable, place: int) -> Array:
     return np.array(found)
 
 
-def _cells(text: str) -> Iterator[tuple[int, list[str]]]:
+def cells_of(text: str) -> Iterator[tuple[int, list[str]]]:
     """Yield line number and cells for each line that is neither empty nor a comment."""
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
     lines = [(number, line) for number, line in lines if line and (line[0] != "#" or _is_named_row(line))]

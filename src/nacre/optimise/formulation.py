@@ -17,31 +17,38 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Any
 
 import numpy as np
-import pydantic
 from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
-from nacre.core.files import check_room, check_writable, read_text, write_text
+from nacre.core.files import check_room, check_writable, output_folder, read_text, write_text
 from nacre.families.contract import Surrogate, surrogate_radiance
 from nacre.light import lamp_lines_nm, spectrum_to_xyz, with_lamp_lines
 from nacre.material.material import Material, material
 from nacre.measure.colours import WALK_NM
 from nacre.measure.geometry import Geometry, aspecular_pairs, named_geometries
-from nacre.measure.texture import Fidelity, Instrument, TextureQuantity, texture_values
+from nacre.measure.texture import Fidelity, TextureQuantity, texture_values
+from nacre.optimise.checkpoint import Checkpointer, DesignFolder, unreadable
 from nacre.optimise.evaluation import geometries_of
+from nacre.optimise.formulation_spec import (
+    MOST_ANSWERS,
+    DyeSpec,
+    FormulationSpec,
+    LibrarySpec,
+    PigmentSpec,
+)
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.least_squares import minimise_residuals, sobol_points
 from nacre.optimise.methods.surrogate import Correction
+from nacre.optimise.problem import Budget, BudgetExhausted, Changes, Result, Search
 from nacre.optimise.solutions import NEED_BYTES, RECIPE, clear_solutions, folder_of, write_recipe
-from nacre.optimise.spec import InstrumentKey, LightSpec, TargetEntry
 from nacre.optimise.targets import Target, merit_function, read_targets
 from nacre.optimise.task import read_data
-from nacre.recipe.model import LENGTH_UNITS_NM, RecipeContext, RecipeModel, validate
-from nacre.recipe.path_tables import GeometrySpec
+from nacre.recipe.fingerprint import fingerprint
+from nacre.recipe.model import LENGTH_UNITS_NM, RecipeContext, validate
 from nacre.recipe.toml import parse_toml
 
 LEAST = 1e-4  # of the upper bound: a recipe needs a fraction above 0
@@ -56,147 +63,14 @@ BLACK, WHITE = 0.0, 0.8  # albedo of the contrast ratio's bases; ISO 6504-3 asks
 HIDING = Geometry("aspecular", 45.0, 45.0)  # 45/0
 ADDITION_COST = 0.05  # residual, in tolerances, of an addition of the batch's own volume
 MOST_ADDED = 1.0  # of resin and of each ingredient, relative to the batch's own volume of it
-SCOUT_SHARE, SECOND_SHARE, THIRD_SHARE, FINE_SHARE = 0.35, 0.5, 0.7, 0.85  # of the time limit, at the end of stages
+STAGE_SHARES = (0.35, 0.5, 0.7, 0.85)  # of the time limit and of the evaluations, at the end of each stage
+STATE_KEYS = ("stage", "ingredients", "start", "rms", "point")
 MOST_COMBINATIONS = 5000
 COLOUR_NOISE = 0.2  # of measured L*, a* and b*: repeatability of a good spectrophotometer
 RELATIVE_STEP = 0.02  # of a volume fraction, for derivatives
 LEAST_TEXTURE, TEXTURE_STEP = 1e-9, 0.05  # relative volume fraction step for texture derivatives
-MOST_ANSWERS = 20
 SUMMARY = "formulation.json"
 STARTED = "started"  # status while answers are written, so that a killed run does not block the next
-Positive = Annotated[float, pydantic.Field(gt=0.0)]
-Fraction = Annotated[float, pydantic.Field(ge=0.0, le=0.3)]
-
-
-class ResinSpec(RecipeModel):
-    """Price and density of the resin, dry."""
-
-    forms: ClassVar[tuple[str, ...]] = ("{cost_per_kg = 4, density_kg_l = 1.1}",)
-
-    cost_per_kg: Annotated[float, pydantic.Field(ge=0.0)] = pydantic.Field(default=0.0, description="price of 1 kg")
-    density_kg_l: Positive = pydantic.Field(default=1.1, description="density in kg/l")
-
-
-class IngredientSpec(RecipeModel):
-    """Name, bounds, price and density of an ingredient."""
-
-    name: str = pydantic.Field(min_length=1, max_length=80, description="name", examples=["silver fine"])
-    volume_fraction: tuple[Fraction, Fraction] = pydantic.Field(
-        description="bounds of the volume fraction in the dry stratum", examples=[[0, 0.03]]
-    )
-    cost_per_kg: Annotated[float, pydantic.Field(ge=0.0)] = pydantic.Field(
-        default=0.0, description="price of 1 kg", examples=[45]
-    )
-    density_kg_l: Positive = pydantic.Field(default=1.0, description="density in kg/l", examples=[3.1])
-
-    @pydantic.model_validator(mode="after")
-    def _ascending(self) -> IngredientSpec:
-        low, high = self.volume_fraction
-        if not low < high:
-            raise ValueError(f"volume_fraction = [{low:g}, {high:g}]: the bounds cross")
-        return self
-
-
-class PigmentSpec(IngredientSpec):
-    """A pigment of flakes."""
-
-    forms: ClassVar[tuple[str, ...]] = (
-        '{name = "silver", volume_fraction = [0, 0.03], cost_per_kg = 45, density_kg_l = 2.6, '
-        'platelet = {coatings = [{material = "Al", thickness_nm = 60}]}}',
-    )
-
-    platelet: dict[str, Any] = pydantic.Field(
-        description="the flake, as an entry of [[strata.platelets]] without volume_fraction",
-        examples=[{"coatings": [{"material": "Al", "thickness_nm": 60}]}],
-    )
-
-
-class DyeSpec(IngredientSpec):
-    """A dissolved dye."""
-
-    forms: ClassVar[tuple[str, ...]] = (
-        '{name = "red", volume_fraction = [0, 0.02], cost_per_kg = 30, dye = {material = {n = 1.5, k = 0.02}}}',
-    )
-
-    dye: dict[str, Any] = pydantic.Field(
-        description="the dye, as strata.dye of a recipe without volume_fraction and radius_nm",
-        examples=[{"material": {"n": 1.5, "k": 0.02}}],
-    )
-
-
-class LibrarySpec(RecipeModel):
-    """Library of ingredients."""
-
-    example: ClassVar[Mapping[str, Any]] = {
-        "resin": {"cost_per_kg": 4, "density_kg_l": 1.1},
-        "pigment": [
-            {"name": "silver", "volume_fraction": [0, 0.03], "cost_per_kg": 45, "density_kg_l": 2.6,
-             "platelet": {"coatings": [{"material": "Al", "thickness_nm": 60}]}}
-        ],
-        "dye": [{"name": "red", "volume_fraction": [0, 0.02], "cost_per_kg": 30, "dye": {"material": "Fe2O3"}}],
-    }  # fmt: skip
-
-    resin: ResinSpec = pydantic.Field(default=ResinSpec(), description="price and density of the resin")
-    pigment: Annotated[list[PigmentSpec], pydantic.Field(max_length=64)] = pydantic.Field(
-        default=[], description="pigments", examples=[[]]
-    )
-    dye: Annotated[list[DyeSpec], pydantic.Field(max_length=64)] = pydantic.Field(
-        default=[], description="dissolved dyes", examples=[[]]
-    )
-
-    @pydantic.model_validator(mode="after")
-    def _names(self) -> LibrarySpec:
-        names = [entry.name for entry in (*self.pigment, *self.dye)]
-        if not names:
-            raise ValueError("the library is empty; add [[pigment]] or [[dye]]")
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f'the name "{name}" occurs twice')
-        return self
-
-
-class FormulationSearch(RecipeModel):
-    """Search size."""
-
-    forms: ClassVar[tuple[str, ...]] = ("{solutions = 3, seconds = 60, max_pigments = 2}",)
-
-    max_pigments: Annotated[int, pydantic.Field(ge=0, le=5)] = pydantic.Field(
-        default=2, description="largest number of pigments of a paint, beside at most one dye"
-    )
-    solutions: Annotated[int, pydantic.Field(ge=1, le=MOST_ANSWERS)] = pydantic.Field(
-        default=3, description="number of answers, of different ingredients"
-    )
-    seconds: Positive = pydantic.Field(default=120.0, description="time limit")
-    seed: Annotated[int, pydantic.Field(ge=0, le=2**32 - 1)] = pydantic.Field(default=0, description="seed")
-
-
-class FormulationSpec(RecipeModel):
-    """Target file of `nacre formulate`: the paint without pigments, the library and the measured colours."""
-
-    example: ClassVar[Mapping[str, Any]] = {
-        "library": "pigments.toml",
-        "recipe": {
-            "family": "pearl", "base": {"albedo": 0.1}, "strata": [{"resin": {"n": 1.5}, "thickness_um": 40}]
-        },
-        "target": [{"geometry": "45as15", "lab": [62, 30, -12]}, {"geometry": "45as45", "lab": [31, 12, -8]}],
-    }  # fmt: skip
-
-    library: str | LibrarySpec = pydantic.Field(
-        description="file of the library, or the library as a table", examples=["pigments.toml"]
-    )
-    recipe: dict[str, Any] = pydantic.Field(
-        description="the pearl without pigments and dye: resin, thickness and base",
-        examples=[{"family": "pearl", "strata": [{"resin": {"n": 1.5}, "thickness_um": 40}]}],
-    )
-    target: Annotated[list[TargetEntry], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
-        description="measured colours at aspecular geometries, and measured texture"
-    )
-    instrument: InstrumentKey = Instrument()
-    geometry: list[GeometrySpec] = pydantic.Field(
-        default=[], description="geometries by name", examples=[[{"name": "door", "at": "45as60az125.3"}]]
-    )
-    light: LightSpec = pydantic.Field(default=LightSpec(), description="lamps and observer")
-    search: FormulationSearch = pydantic.Field(default=FormulationSearch(), description="size of the search")
 
 
 TextureModel = Callable[[Sequence[float] | Array], Array]
@@ -309,6 +183,18 @@ class Task:
     geometries: tuple[Geometry, ...]
     merit: MeritFunction
     start: Material
+    files: Mapping[str, str]  # name -> digest, of all that the target names
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of everything that defines the task, without the time limit."""
+        data = self.spec.model_dump(exclude={"search": {"seconds"}})
+        library = self.library.model_dump()
+        return fingerprint(data, dict(self.files), library=library, material=self.start.fingerprint)
+
+    def budget(self) -> Budget:
+        """Return the search's budget, which begins now."""
+        return Budget(self.spec.search.evaluations or np.inf, self.spec.search.seconds)
 
     @property
     def thickness_um(self) -> float:
@@ -401,7 +287,7 @@ def read_formulation(target: str | Path | Mapping[str, Any]) -> Task:
     geometries = tuple(geometries_of(targets))
     grid = _grid(spec)
     merit = merit_function(targets, geometries, spec.light, grid)
-    task = Task(spec, library, context, folder, targets, geometries, merit, start)
+    task = Task(spec, library, context, folder, targets, geometries, merit, start, {})
     optics = [(each.name, each.platelet) for each in library.pigment] + [(each.name, each.dye) for each in library.dye]
     for name, table in optics:
         if "volume_fraction" in table:
@@ -409,15 +295,16 @@ def read_formulation(target: str | Path | Mapping[str, Any]) -> Task:
                 f'{source}: library: "{name}": the search chooses volume_fraction within the bounds of the '
                 "ingredient; remove it from the optics"
             )
-    for pigment in library.pigment:
-        _paint(task, [pigment], None)
     for dye in library.dye:
         if "radius_nm" in dye.dye:
             raise RecipeError(
                 f'{source}: library: dye "{dye.name}" scatters (radius_nm); only dissolved dyes are possible'
             )
-        _paint(task, [], dye)
-    return task
+    files = {**context.files, **start.context.files}
+    alone = [_paint(task, [each], None) for each in library.pigment] + [_paint(task, [], d) for d in library.dye]
+    for paint in alone:
+        files |= paint.material.context.files
+    return replace(task, files=files)
 
 
 def _grid(spec: FormulationSpec) -> Array:
@@ -473,6 +360,11 @@ class _Paint:
     def made(self, fractions: Sequence[float] | Array) -> Material:
         """Return the recipe of volume fractions."""
         return self.make({each.path: float(f) for each, f in zip(self.ingredients, fractions, strict=True)})
+
+    def amounts(self, point: Array) -> dict[str, float]:
+        """Return a point's volume fractions by ingredient."""
+        names = (each.entry.name for each in self.ingredients)
+        return dict(zip(names, self.fractions(point), strict=True))
 
     def fractions(self, point: Array) -> list[float]:
         """Return a point's volume fractions."""
@@ -578,6 +470,7 @@ def formulate(
     target: str | Path | Mapping[str, Any] | Task,
     out: str | Path | None = None,
     progress: Callable[[int, int, float], None] | None = None,
+    resume: bool = False,
 ) -> Formulation:
     """Match measured colours of an effect paint with pigments and a dye from a library.
 
@@ -585,81 +478,169 @@ def formulate(
 
     Args:
         target: a TOML file as in `FormulationSpec`, a dictionary of its keys, or the result of `read_formulation`.
-        out: folder for the recipes and `formulation.json`; default: nothing is written.
+        out: folder for the recipes, `formulation.json` and the search state; default: nothing is written.
         progress: called with (combinations done, all, best rms distance in tolerances) in each stage.
+        resume: continue a stopped search of the same target in `out`.
 
     Raises:
-        RecipeError: the file or its library is not valid.
+        RecipeError: the file or its library is not valid, or `out` holds another target's search.
         UnsupportedError: the paint lacks a noise-free model.
-        NacreError: the folder cannot be written.
+        NacreError: the folder cannot be written, or its search state cannot be read.
     """
     if out is not None:
         check_answers(Path(out))
     task = target if isinstance(target, Task) else read_formulation(target)
-    found = _Search(task, progress).run()
-    if out is not None:
-        write_formulation(found, Path(out))
-    return found
+    search = PaintSearch(task, progress)
+    if out is None:
+        return search.answers(search.run(task.budget()))
+    checkpointer = Checkpointer.open(Path(out), task.fingerprint, resume)
+    with output_folder(out):
+        return FormulationFolder(task, search, checkpointer).design(task.context.source)
 
 
-class _Search:
-    """Successive refinement: every combination, the better ones, and the finalists by the doubling method."""
+Candidate = tuple[float, "_Paint", Array]  # rms distance in tolerances, paint, point
+Refinement = Callable[["_Paint", Array], tuple[float, Array]]
+
+
+class PaintSearch(Search):
+    """Successive refinement: every combination, the better ones, and the finalists by the doubling method.
+
+    An evaluation is one refined combination.
+
+    Attributes:
+        combinations: number of combinations that were searched.
+        finalists: candidates of the last stage with any, best first.
+    """
+
+    default_evaluations = np.inf
+    is_met = False  # the stages end the search
 
     def __init__(self, task: Task, progress: Callable[[int, int, float], None] | None) -> None:
+        super().__init__(task.spec.search.solutions)
         self.task, self.progress = task, progress
-        self.begun = time.monotonic()
-        self.status = "done"
+        self.combinations, self.finalists = 0, list[Candidate]()
+        self._refined: dict[tuple[Any, ...], tuple[float, Array]] = {}  # stage, ingredients, start -> rms, point
 
-    def run(self) -> Formulation:
-        """Return the answers."""
-        solutions = self.task.spec.search.solutions
-        tried = self._stage(enumerate(_combinations(self.task)), self._scout, SCOUT_SHARE, 1)
-        count = len(tried)
-        plan = (
-            (SECOND * solutions, lambda found: (*found[1].fit(found[2], None, COARSE_STEPS), found[1]), SECOND_SHARE),
-            (FINALISTS * solutions, lambda found: (*found[1].corrected(found[2], 2), found[1]), THIRD_SHARE),
-            (2 * solutions, lambda found: (*found[1].polished(found[2]), found[1]), FINE_SHARE),
-        )
-        for most, refined, share in plan:
-            better = self._stage(tried[:most], refined, share, solutions)
-            tried = better or tried
-        formulas = [_formula(paint, paint.fractions(point)) for _, paint, point in tried[:solutions]]
+    def state(self, solutions: Sequence[Changes]) -> tuple[Sequence[Changes], dict[str, Any]]:
+        """Return all refinements, which `restore` reads."""
+        rows = [[*key, rms, point.tolist()] for key, (rms, point) in self._refined.items()]
+        return [dict(zip(STATE_KEYS, row, strict=True)) for row in rows], {}
+
+    def restore(self, checkpointer: Checkpointer) -> None:
+        """Take the refinements of a checkpoint as done.
+
+        Raises:
+            NacreError: it is damaged.
+        """
+        try:
+            for one in checkpointer.solutions:
+                stage, names, start, rms, point = (one[key] for key in STATE_KEYS)
+                found = float(rms), np.array(point, dtype=float)
+                if len(found[1]) != len(names) or not np.isfinite([found[0], *found[1]]).all():
+                    raise ValueError
+                self._refined[stage, tuple(names), tuple(start)] = found
+        except (KeyError, TypeError, ValueError):
+            raise unreadable(checkpointer.folder) from None
+
+    def solutions(self) -> list[tuple[float, Changes]]:
+        """Return the volume fractions of the best candidates."""
+        return [(rms, paint.amounts(point)) for rms, paint, point in self.finalists[: self.solution_count]]
+
+    def answers(self, result: Result) -> Formulation:
+        """Evaluate the finalists by a random walk.
+
+        Raises:
+            KeyboardInterrupt: before there was a candidate.
+        """
+        if not self.finalists:
+            raise KeyboardInterrupt
+        formulas = [_formula(paint, paint.fractions(at)) for _, paint, at in self.finalists[: self.solution_count]]
         ranked = tuple(sorted(formulas, key=lambda each: each.distance))
-        return Formulation(ranked, self.task.labels, count, self.status, time.monotonic() - self.begun)
+        status = "done" if result.status == "exhausted" else result.status
+        seconds = time.monotonic() - self.budget.start_time
+        return Formulation(ranked, self.task.labels, self.combinations, status, seconds)
 
-    def _scout(self, kind: tuple[int, tuple[tuple[PigmentSpec, ...], DyeSpec | None]]) -> tuple[float, Array, _Paint]:
-        number, (pigments, dye) = kind
-        paint = _paint(self.task, pigments, dye)
-        starts = sobol_points(len(paint.ingredients), STARTS, [self.task.spec.search.seed, number])
+    def _search(self, known: Sequence[Mapping[str, Any]]) -> None:
+        most = self.solution_count
+        chosen = _combinations(self.task)
+        scouted = ((_paint(self.task, *one), np.array([float(number)])) for number, one in enumerate(chosen))
+        is_complete = self._stage(0, scouted, len(chosen), self._scout)
+        refinements: tuple[tuple[int, Refinement], ...] = (
+            (SECOND * most, lambda paint, start: paint.fit(start, None, COARSE_STEPS)),
+            (FINALISTS * most, lambda paint, start: paint.corrected(start, 2)),
+            (2 * most, lambda paint, start: paint.polished(start)),
+        )
+        for stage, (count, refine) in enumerate(refinements, start=1):
+            better = [(paint, point) for _, paint, point in self.finalists[:count]]
+            is_complete &= self._stage(stage, better, len(better), refine)
+        if not is_complete:
+            raise BudgetExhausted
+
+    def _scout(self, paint: _Paint, number: Array) -> tuple[float, Array]:
+        starts = sobol_points(len(paint.ingredients), STARTS, [self.task.spec.search.seed, int(number[0])])
         rms, point = min((paint.fit(start, None, SCOUT_STEPS) for start in starts), key=lambda pair: pair[0])
         if self.task.quantities:  # ranks paints that differ in their texture only
             made = paint.made(paint.fractions(point))
             exact, rest = paint.factors(paint.fractions(point), False, lambda _: paint.texture(made, "scout"))
             rms = self.task.rms(exact + rest)
-        return rms, point, paint
+        return rms, point
 
-    def _stage(
-        self, entries: Iterable[Any], refined: Callable[[Any], tuple[float, Array, _Paint]], share: float, least: int
-    ) -> list[tuple[float, _Paint, Array]]:
-        """Return refined combinations, best first, as far as the time goes; an interrupt ends the stage."""
-        waiting = list(entries)
-        found: list[tuple[float, _Paint, Array]] = []
-        if self.status == "interrupted":
-            return found
-        try:
-            for number, entry in enumerate(waiting, start=1):
-                if len(found) >= least and time.monotonic() - self.begun > share * self.task.spec.search.seconds:
-                    self.status = "time"
-                    break
-                rms, point, paint = refined(entry)
-                found.append((rms, paint, point))
-                if self.progress:
-                    self.progress(number, len(waiting), min(each[0] for each in found))
-        except KeyboardInterrupt:
-            if not found and share == SCOUT_SHARE:
-                raise
-            self.status = "interrupted"
-        return sorted(found, key=lambda each: each[0])
+    def _stage(self, stage: int, entries: Iterable[tuple[_Paint, Array]], count: int, refine: Refinement) -> bool:
+        """Refine paints from their starts, as far as the stage's share of the budget goes; return whether all are."""
+        share, least = STAGE_SHARES[stage], self.solution_count if stage else 1
+        end_time = self.budget.start_time + share * self.budget.seconds
+        found: list[Candidate] = []
+        for paint, start in entries:
+            if len(found) >= least and self.budget.is_over(share * self.budget.evaluations, end_time):
+                return False
+            key = (stage, tuple(each.entry.name for each in paint.ingredients), tuple(start.tolist()))
+            if key not in self._refined:
+                self._refined[key] = refine(paint, start)
+                self.budget.used += 1
+            rms, point = self._refined[key]
+            found.append((rms, paint, point))
+            self.finalists = sorted(found, key=lambda each: each[0])
+            self.combinations += stage == 0
+            self.best, best, point = self.finalists[0]
+            self.best_changes = best.amounts(point)
+            self.report()
+            if self.progress:
+                self.progress(len(found), count, self.best)
+        return True
+
+
+class FormulationFolder(DesignFolder[Formulation]):
+    """Formulation at work; its folder holds the best paint so far."""
+
+    search: PaintSearch
+
+    def __init__(self, task: Task, search: PaintSearch, checkpointer: Checkpointer) -> None:
+        super().__init__(checkpointer, time.monotonic(), task.spec.search.seconds, None, None)
+        self.task, self.search = task, search
+        search.restore(checkpointer)
+
+    def budget(self) -> Budget:
+        """Return the budget of the search."""
+        return self.task.budget()
+
+    def claim(self) -> None:
+        """Mark the folder as a formulation's whose answers are not complete."""
+        _mark(self.folder)
+
+    def write_best(self, worst: float, changes: Changes) -> dict[str, Any]:
+        """Write the best paint."""
+        _, paint, point = self.search.finalists[0]
+        made = paint.made(paint.fractions(point))
+        return {"files": write_recipe(self.folder, made, {}, {}, made)[1]}
+
+    def write_running(self, part: dict[str, Any]) -> None:
+        """Leave the summary as `claim` wrote it."""
+
+    def finish(self, result: Result) -> Formulation:
+        """Evaluate the finalists and write them."""
+        found = self.search.answers(result)
+        write_formulation(found, self.folder)
+        return found
 
 
 def _combinations(task: Task) -> list[tuple[tuple[PigmentSpec, ...], DyeSpec | None]]:
@@ -894,12 +875,18 @@ def write_formulation(found: Formulation, folder: Path) -> None:
     check_answers(folder)
     document = formulation_document(found)
     folder.mkdir(parents=True, exist_ok=True)
-    earlier: dict[str, Any] = {"formulas": []}
-    with contextlib.suppress(OSError, ValueError, TypeError):
-        earlier |= json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-    write_text(folder / SUMMARY, json.dumps({**earlier, "status": STARTED}) + "\n")
+    _mark(folder)
     for number, each in enumerate(found.formulas, start=1):
         names = write_recipe(folder_of(folder, number), each.material, {}, {}, each.material)[1]
         document["formulas"][number - 1]["files"] = names
     clear_solutions(folder, len(found.formulas), SUMMARY, "formulas")
     write_text(folder / SUMMARY, json.dumps(document, indent=1) + "\n")
+
+
+def _mark(folder: Path) -> None:
+    """Write the summary of the earlier answers as one that is not complete."""
+    earlier: dict[str, Any] = {"formulas": []}
+    with contextlib.suppress(OSError, ValueError, TypeError):
+        earlier |= json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+    if earlier.get("status") != STARTED:
+        write_text(folder / SUMMARY, json.dumps({**earlier, "status": STARTED}) + "\n")

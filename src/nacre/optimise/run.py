@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import check_room, output_folder, read_text
-from nacre.families.contract import is_direct, method_overrides
-from nacre.material.material import Material
-from nacre.optimise.checkpoint import Checkpointer, DesignFolder
+from nacre.families.contract import is_direct
+from nacre.optimise.checkpoint import Checkpointer, SolvableFolder
 from nacre.optimise.evaluation import evaluate, objective, rank
-from nacre.optimise.image.validation import is_hologram
 from nacre.optimise.methods import surrogate
 from nacre.optimise.methods.least_squares import LeastSquaresSearch
 from nacre.optimise.methods.successive_halving import SuccessiveHalvingSearch
@@ -35,18 +34,29 @@ from nacre.optimise.solutions import (
     Solution,
     are_alike,
     check_folder,
-    claim,
     conclude,
     folder_of,
     write_recipe,
 )
-from nacre.optimise.task import DesignTask, check_task, is_relief_task, read_data, total_thickness_nm
+from nacre.optimise.spec import LightSpec
+from nacre.optimise.task import (
+    DesignTask,
+    check_task,
+    is_relief_task,
+    read_data,
+    total_thickness_nm,
+    with_method_overrides,
+)
 from nacre.optimise.tolerances import read_tolerances
 from nacre.optimise.yield_analysis import sensitivity, yield_of
 from nacre.recipe.paths import numbers_of
 
 DESIGN_KEYS = {"parameters", "layers", "recipe", "tolerance", "want"}  # of target files; [want] is a former name
 RESUMED_SEED = 1_000_003  # seed offset of each resumed search
+IMAGE_DESIGNS = {
+    "picture": ("nacre.optimise.image.design", "design_picture"),
+    "hologram": ("nacre.optimise.image.hologram", "design_hologram"),
+}
 
 
 @dataclass(frozen=True)
@@ -100,7 +110,7 @@ def run(
     Example: `nacre.design("violet.toml", "violet").best.targets[0].distance`.
     """
     begun = time.monotonic()
-    task = target if isinstance(target, DesignTask | ReliefTask) else read_target(target)
+    task = read_target(target)
     folder = Path(task.name if out is None else out)
     check_room(folder, NEED_BYTES)
     if isinstance(task, ReliefTask):
@@ -109,25 +119,34 @@ def run(
         check_folder(folder, task.material.context, solutions=task.spec.search.solutions)
     checkpointer = Checkpointer.open(folder, task.fingerprint, resume)
     with output_folder(folder):
-        if isinstance(task, ReliefTask):
-            return _search(ReliefFolder(task, folder, checkpointer, begun, progress, jobs), task.context.source)
-        if task.targets[0].image is None:
-            return _search(RecipeFolder(task, folder, checkpointer, begun, progress), task.context.source)
-        from nacre.optimise.image.design import design_picture
-        from nacre.optimise.image.hologram import design_hologram
-
-        if is_hologram(task.material, task.parameters):
-            return design_hologram(task, folder, begun)
-        return design_picture(task, folder, begun, progress)
+        if task.image_kind:
+            module, name = IMAGE_DESIGNS[task.image_kind]
+            found: Design = getattr(importlib.import_module(module), name)(task, checkpointer, begun, progress)
+            return found
+        return search_of(task, checkpointer, begun, progress, jobs).design(task.context.source)
 
 
-def read_target(target: str | Path | Mapping[str, Any]) -> DesignTask | ReliefTask:
-    """Read and check a target: a file, the name of an example, or a dictionary.
+def search_of(
+    task: DesignTask | ReliefTask,
+    checkpointer: Checkpointer,
+    begun: float | None = None,
+    progress: Callable[[DesignProgress], None] | None = None,
+    jobs: int | None = None,
+) -> SolvableFolder:
+    """Return the search of a task at work, in the folder of its checkpoint; see `run`."""
+    begun = time.monotonic() if begun is None else begun
+    return SEARCHES[type(task)](task, checkpointer, begun, progress, jobs)
+
+
+def read_target(target: str | Path | Mapping[str, Any] | DesignTask | ReliefTask) -> DesignTask | ReliefTask:
+    """Read and check a target: a file, the name of an example, or a dictionary; a checked one is returned.
 
     Raises:
         RecipeError: naming file, key, value and what is allowed.
         NacreError: the recipe cannot be computed.
     """
+    if isinstance(target, DesignTask | ReliefTask):
+        return target
     data, context = read_data(target)
     if is_relief_task(data):
         return read_relief(data, context)
@@ -141,23 +160,6 @@ def read_target(target: str | Path | Mapping[str, Any]) -> DesignTask | ReliefTa
             f"{context.source}: has no targets; add [[target]] tables (nacre keys design), or [target] of a relief"
         )
     return check_task(data, context)
-
-
-def _search(work: DesignFolder, source: str) -> Design:
-    """Search, write the checkpoint, and finish.
-
-    Raises:
-        KeyboardInterrupt: before there was a solution.
-        RecipeError: all candidates fail.
-    """
-    result = work.search.run(work.budget(), work.update, work.checkpointer.solutions)
-    if not result.solutions and result.status == "interrupted":
-        raise KeyboardInterrupt
-    if not result.solutions:
-        raise RecipeError(f"{source}: the recipe cannot be computed anywhere in its bounds")
-    claim(work.folder)
-    work.save([changes for _, changes in result.solutions])
-    return work.finish(result)
 
 
 def choose_search(task: DesignTask, seed: int) -> Search:
@@ -194,21 +196,21 @@ def budget_of(task: DesignTask, search: Search, spent_s: float = 0.0) -> Budget:
     return Budget(spec.evaluations or search.default_evaluations, seconds, reserved_s)
 
 
-class RecipeFolder(DesignFolder):
+class RecipeFolder(SolvableFolder):
     """Design of recipe parameters or of a stack at work."""
 
     def __init__(
         self,
         task: DesignTask,
-        folder: Path,
         checkpointer: Checkpointer,
         begun: float,
         progress: Callable[[DesignProgress], None] | None,
+        jobs: int | None,
     ) -> None:
-        super().__init__(folder, checkpointer, begun, task.spec.search.seconds, progress)
+        super().__init__(checkpointer, begun, task.spec.search.seconds, progress, jobs)
         self.task = task
         self.search = choose_search(task, task.spec.search.seed + RESUMED_SEED * (checkpointer.runs - 1))
-        self._previous_best = _previous_best(folder) if checkpointer.solutions else None
+        self._previous_best = _previous_best(self.folder) if checkpointer.solutions else None
 
     def budget(self) -> Budget:
         """Return the budget of the search."""
@@ -221,9 +223,16 @@ class RecipeFolder(DesignFolder):
         path, files = write_recipe(self.folder, start, final, {}, start.vary(changes))
         return {"solutions": [{"recipe": str(path), "files": files, "changes": changes, "worst": worst}]}
 
+    def evaluated(self, changes: Changes) -> Solution | None:
+        """Return a solution evaluated in the time that the search leaves."""
+        return evaluate_solution(self.task, changes, self.search.budget.reserved_s, 0.0)
+
     def finish(self, result: Result) -> Design:
         """Evaluate the solutions, sort and write them, and the report."""
         return _finish(self.task, result, self._previous_best, self)
+
+
+SEARCHES: dict[type, Callable[..., SolvableFolder]] = {DesignTask: RecipeFolder, ReliefTask: ReliefFolder}
 
 
 def _previous_best(folder: Path) -> dict[str, Any] | None:
@@ -261,12 +270,7 @@ def _finish(task: DesignTask, result: Result, previous_best: dict[str, Any] | No
         raise RecipeError(f"{task.context.source}: no solution can be computed again; this is a bug in nacre")
     _sort(solutions, task, previous_best)
     del solutions[spec.search.solutions :]
-    written = []
-    for number, solution in enumerate(solutions, start=1):
-        changes = with_method_overrides(task.material, solution.changes)
-        folder = folder_of(writer.folder, number)
-        path, files = write_recipe(folder, task.material, changes, tolerance_of(task, solution), solution.material)
-        written.append(replace(solution, recipe=path, facts={**solution.facts, "files": files}))
+    written = [task.write(folder_of(writer.folder, n), solution) for n, solution in enumerate(solutions, start=1)]
     return _report(task, written, result, writer)
 
 
@@ -335,28 +339,6 @@ def evaluate_solution(
     return Solution(None, made, changes, results, facts)
 
 
-def with_method_overrides(start: Material, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return recipe changes that also name the quick method by which the solution was evaluated.
-
-    Args:
-        start: the recipe to be changed, as a search candidate.
-    """
-    return {**changes, **method_overrides(start.vary(changes).model)}
-
-
-def tolerance_of(task: DesignTask, solution: Solution) -> dict[str, Any]:
-    """Return the tolerances as the recipe's [tolerance] table, for `nacre tolerance`."""
-    if not task.spec.tolerance:
-        return {}
-    tolerances = read_tolerances(task.spec.tolerance, solution.material, task.context.source)
-    own = dict(solution.material.data.get("tolerance", {}))
-    found: dict[str, Any] = {}
-    for t in tolerances:
-        entry = {"deviation": t.deviation, "distribution": t.distribution} | ({"group": t.group} if t.group else {})
-        found[t.path] = [*found[t.path], entry] if t.path in found else [entry]
-    return own | {path: entries[0] if len(entries) == 1 else entries for path, entries in found.items()}
-
-
 def outcome(solutions: Sequence[Solution], status: str, seconds: float | None = None) -> str:
     """Return the outcome as a sentence.
 
@@ -392,7 +374,7 @@ def _report(task: DesignTask, solutions: list[Solution], result: Result, writer:
         "ended_by": result.status,
         "evaluations": round(result.evaluations),
         "seconds": round(writer.spent_s, 3),
-        "solutions": [document_of(s, task) for s in solutions],
+        "solutions": [document_of(s, task.spec.light) for s in solutions],
         "light": task.spec.light.model_dump(),
         "costs_most": {"geometry": str(best.worst.target.geometry), "lamp": best.worst.lamp},
         "seed": task.spec.search.seed,
@@ -412,12 +394,12 @@ def _report(task: DesignTask, solutions: list[Solution], result: Result, writer:
     )
 
 
-def document_of(solution: Solution, task: DesignTask) -> dict[str, Any]:
+def document_of(solution: Solution, light: LightSpec) -> dict[str, Any]:
     """Return a solution as JSON data."""
     return {
         "recipe": str(solution.recipe),
         "worst": solution.worst.scaled,
-        "targets": [r.document(task.spec.light.observer) for r in solution.targets],
+        "targets": [r.document(light.observer) for r in solution.targets],
         "changes": solution.changes,
         "yield": solution.yield_share,
         "yield_details": solution.facts.get("yield"),

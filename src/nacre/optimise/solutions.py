@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import filecmp
 import json
 import os
 import shutil
@@ -16,7 +17,6 @@ from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import atomic_path, plain, read_text, write_text
 from nacre.material.material import Material
 from nacre.optimise.evaluation import TargetResult
-from nacre.recipe.fingerprint import file_digest
 from nacre.recipe.model import RecipeContext
 from nacre.recipe.paths import set_by_path
 from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
@@ -303,7 +303,7 @@ def check_folder(out: Path, start: RecipeContext, names: Sequence[str] = WRITTEN
     foreign += [folder.name for folder in later if os.path.lexists(folder) and not folder.is_dir()]
     for file in start.dependencies:
         beside = out / file.name
-        is_another = beside.exists() and beside.resolve() != file and file_digest(beside) != file_digest(file)
+        is_another = beside.is_file() and beside.resolve() != file and not filecmp.cmp(beside, file, shallow=False)
         if is_another and file.name not in (earlier or ()):
             foreign.append(file.name)
     if foreign:

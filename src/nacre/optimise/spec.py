@@ -221,7 +221,10 @@ class SearchSpec(RecipeModel):
         "and evaluations give the same result on any machine unless `seconds` ends the search first",
         examples=[2000],
     )
-    seconds: Positive = pydantic.Field(default=60.0, description="time limit of the whole command")
+    seconds: Positive = pydantic.Field(
+        default=60.0,
+        description="time limit of the whole command; of a picture, if given, of the refinement of its palette",
+    )
     solutions: Annotated[int, pydantic.Field(ge=1, le=100)] = pydantic.Field(
         default=5, description="largest number of solutions"
     )

@@ -12,15 +12,17 @@ from typing import Any
 from nacre.bsdf.texture import refuse_place
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
 from nacre.core.files import named, read_text
+from nacre.families.contract import method_overrides
 from nacre.material.examples import resolve_recipe_path
 from nacre.material.material import Material, load, material
 from nacre.matter.indices.spec import IndexSpec
 from nacre.measure.geometry import Geometry, named_geometries
-from nacre.optimise.evaluation import geometries_of
+from nacre.optimise.evaluation import TargetResult, geometries_of
 from nacre.optimise.image.validation import HOLOGRAM, check_hologram, check_picture_target, is_hologram
 from nacre.optimise.measurement import check_answers
 from nacre.optimise.parameters import Parameter, read_parameters, refuse_ties, values_at
-from nacre.optimise.spec import DesignSpec, LayersSpec
+from nacre.optimise.solutions import Solution, write_recipe
+from nacre.optimise.spec import DesignSpec, LayersSpec, LightSpec
 from nacre.optimise.targets import Target, read_targets
 from nacre.optimise.tolerances import read_tolerances
 from nacre.recipe.fingerprint import fingerprint
@@ -75,11 +77,6 @@ def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], so
         )
 
 
-__all__ = ["check_limits", "total_thickness_nm"]
-
-
-# Reading a target: a file or dictionary becomes a checked task.
-
 OTHER = "other"  # in bounds by material: all that are not named
 
 
@@ -106,6 +103,59 @@ class DesignTask:
         """A short name."""
         return Path(self.context.source).stem
 
+    @property
+    def light(self) -> LightSpec:
+        """Lamps and observer."""
+        return self.spec.light
+
+    @property
+    def image_kind(self) -> str:
+        """Design of images: "picture", "hologram", or "" if no target is an image."""
+        if self.targets[0].image is None:
+            return ""
+        return "hologram" if is_hologram(self.material, self.parameters) else "picture"
+
+    def with_targets(self, targets: tuple[Target, ...]) -> DesignTask:
+        """Return the task with other targets at the same geometries."""
+        return replace(self, targets=targets)
+
+    def read(self, folder: Path, changes: Mapping[str, Any]) -> Material:
+        """Return the material of a solution: its changes suffice."""
+        return self.material.vary(changes)
+
+    def solution(
+        self, changes: dict[str, Any], results: list[TargetResult], facts: dict[str, Any], folder: Path | None
+    ) -> Solution:
+        """Return a solution, written if there is a folder.
+
+        Raises:
+            NacreError: the folder cannot be written.
+        """
+        found = Solution(None, self.material.vary(changes), changes, results, facts)
+        return found if folder is None else self.write(folder, found)
+
+    def write(self, folder: Path, solution: Solution) -> Solution:
+        """Write the recipe of a solution with its tolerances and files; return the solution with its recipe.
+
+        Raises:
+            NacreError: the folder cannot be written.
+        """
+        changes = with_method_overrides(self.material, solution.changes)
+        path, files = write_recipe(folder, self.material, changes, self._tolerance(solution), solution.material)
+        return replace(solution, recipe=path, facts={**solution.facts, "files": files})
+
+    def _tolerance(self, solution: Solution) -> dict[str, Any]:
+        """Return the tolerances as the recipe's [tolerance] table, for `nacre tolerance`."""
+        if not self.spec.tolerance:
+            return {}
+        tolerances = read_tolerances(self.spec.tolerance, solution.material, self.context.source)
+        own = dict(solution.material.data.get("tolerance", {}))
+        found: dict[str, Any] = {}
+        for t in tolerances:
+            entry = {"deviation": t.deviation, "distribution": t.distribution} | ({"group": t.group} if t.group else {})
+            found[t.path] = [*found[t.path], entry] if t.path in found else [entry]
+        return own | {path: entries[0] if len(entries) == 1 else entries for path, entries in found.items()}
+
     def within_seconds(self, seconds: float) -> DesignTask:
         """Return the task with another time limit."""
         search = self.spec.search.model_copy(update={"seconds": seconds})
@@ -129,6 +179,15 @@ class DesignTask:
         for changes in tried:
             found |= self.material.vary(changes).context.files
         return found
+
+
+def with_method_overrides(start: Material, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return recipe changes that also name the quick method by which the solution was evaluated.
+
+    Args:
+        start: the recipe to be changed, as a search candidate.
+    """
+    return {**changes, **method_overrides(start.vary(changes).model)}
 
 
 def is_relief_task(data: Mapping[str, Any]) -> bool:
@@ -198,7 +257,7 @@ def check_task(data: dict[str, Any], context: RecipeContext) -> DesignTask:
     if spec.limits.within_validity:
         raise RecipeError(f"{source}: limits.within_validity = true applies to heights of reliefs")
     found = DesignTask(spec, context, base, targets, parameters)
-    if targets[0].image is not None and is_hologram(base, parameters):
+    if found.image_kind == "hologram":
         check_hologram(spec, targets, source)
         return found
     turned = next((k for k, entry in enumerate(spec.target) if entry.light_azimuth_deg), None)

@@ -14,9 +14,9 @@ from nacre.bsdf import Bsdf
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import plain, why_unreadable
-from nacre.device.texture import ObjectFrame
+from nacre.device.tables import ObjectFrame
 from nacre.picture.camera import Framing, View
-from nacre.picture.lights.named import Light
+from nacre.picture.lights.emitter_plugins import Light
 from nacre.picture.plugin import mi
 from nacre.picture.scenes.catalogue import (
     SUBJECT,

@@ -141,7 +141,7 @@ class Paths(Plugin):
             path.active = path.active & si.is_valid() & (path.depth + 1 < self.max_depth)
             bsdf = si.bsdf()
             if self.glitters:
-                from nacre.device.glints import without_glints
+                from nacre.device.facet_distributions import without_glints
 
                 si = without_glints(si, path.base > 0.0)
             self._thin_out(path, bsdf, sampler)

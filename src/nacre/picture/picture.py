@@ -29,8 +29,7 @@ from nacre.light import xyz_weights
 from nacre.picture import interrupt
 from nacre.picture.denoise import clean_albedo, denoised, inapplicable_reason
 from nacre.picture.images import AUTO_LEVEL, Exposure, RenderResult, count_clipped, develop, encode
-from nacre.picture.lights.emitter_plugins import STOKES, Lamp, read_lamps
-from nacre.picture.lights.named import TURNING_LIGHTS, check_light, make_lights
+from nacre.picture.lights.emitter_plugins import STOKES, TURNING_LIGHTS, Lamp, check_light, make_lights, read_lamps
 from nacre.picture.options import (
     COMPONENTS,
     QUALITIES,

@@ -1,7 +1,7 @@
 """Material appearance for the page: colours over the angle, spectra, colours under lamps; packed as bytes.
 
 The preview draws a mirror-like part (R over the angle in the studio's light), a glossy part (the lobe about the
-mirror direction, `nacre.measure.gloss`) and a diffuse part: the remaining light, as a matt surface with the same
+mirror direction, `nacre.measure.colours`) and a diffuse part: the remaining light, as a matt surface with the same
 reflectance at the view angle (reciprocity allows this). Layered films are solved at once. Other materials are first
 drafted with few angles and wavelengths, at a quality adapted to the machine.
 """
@@ -36,10 +36,9 @@ from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material, material_from_data
 from nacre.matter.drawings import DrawingRequest, HeightMap
 from nacre.matter.indices.constant import OpticalConstant
-from nacre.measure.colours import geometry_colours, recipe_geometries
+from nacre.measure.colours import Gloss, find_gloss, geometry_colours, recipe_geometries
 from nacre.measure.evaluate import bsdf_spectrum
 from nacre.measure.geometry import ASPECULAR_DEG, Geometry
-from nacre.measure.gloss import Gloss, find_gloss
 from nacre.measure.texture import ANGLES_DEG as TEXTURE_ANGLES_DEG
 from nacre.measure.texture import (
     QUANTITY_NAMES,

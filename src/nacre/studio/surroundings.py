@@ -355,7 +355,7 @@ def sky_radiance(name: str) -> Array:
     """
     if name not in SKIES:
         raise NacreError(f'"{name[:40]}" is not a sky; choose from {", ".join(SKIES)}')
-    from nacre.picture.lights.named import make_light
+    from nacre.picture.lights.emitter_plugins import make_light
 
     emitter = make_light(name).emitters["sky"]
     rows, columns = np.indices((ROWS, 2 * ROWS)).reshape(2, -1)

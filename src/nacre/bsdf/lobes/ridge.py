@@ -203,11 +203,6 @@ class RidgeTable(Lobe):
             raise ValueError("power must not be negative and must be symmetric in a and b")
         _check_spread(self.spread_along, self.fill)
 
-    @property
-    def transmits(self) -> bool:
-        """Always False: ridges only reflect."""
-        return False
-
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return the value `[..., wavelength]` in 1/sr."""
         wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.core.errors import UnsupportedError
 from nacre.device.plugin import MIN_COS, LobePlugin, flag, opaque
-from nacre.device.tables import DeviceTable, WavelengthAxis
-from nacre.device.texture import DeviceParameters
+from nacre.device.tables import DeviceParameters, DeviceTable, WavelengthAxis
 
 
 class DiffusePlugin(LobePlugin[Diffuse]):

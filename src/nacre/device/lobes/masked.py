@@ -13,7 +13,7 @@ from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.texture import Texture
 from nacre.core.errors import UnsupportedError
 from nacre.device.plugin import LobePlugin, MakePlugin, opaque
-from nacre.device.texture import DeviceTexture
+from nacre.device.tables import DeviceTexture
 
 # The nodes of a varying parameter share one texture: one device copy, read once.
 _TEXTURES: weakref.WeakValueDictionary[tuple[str, int], _Shared] = weakref.WeakValueDictionary()

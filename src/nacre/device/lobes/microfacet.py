@@ -17,8 +17,7 @@ from nacre.core.errors import UnsupportedError
 from nacre.device import plugin
 from nacre.device.facet_distributions import Facets, facets_class
 from nacre.device.response import Azimuths, DeviceResponse
-from nacre.device.tables import DeviceTable, WavelengthAxis
-from nacre.device.texture import DeviceParameters, DeviceTexture
+from nacre.device.tables import DeviceParameters, DeviceTable, DeviceTexture, WavelengthAxis
 
 MAX_SHARE = 0.95
 

@@ -15,8 +15,7 @@ import numpy as np
 from nacre.bsdf.lobes.orders import MIN_WAVELENGTH_NM, OrdersLobe
 from nacre.core.errors import UnsupportedError
 from nacre.device import plugin
-from nacre.device.tables import WavelengthAxis
-from nacre.device.texture import DeviceParameters, DeviceTexture
+from nacre.device.tables import DeviceParameters, DeviceTexture, WavelengthAxis
 
 UNIFORM_SHARE = 0.1  # of the samples, in place of the efficiency at the nearest node
 FAR = 60.0  # squared distance from an order, over the squared width

@@ -14,8 +14,7 @@ import numpy as np
 from nacre.bsdf.lobes.platelet_layer import PlateletLayer
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
-from nacre.device.facet_distributions import Ggx
-from nacre.device.glints import DeviceGlints, resolves_flakes
+from nacre.device.facet_distributions import DeviceGlints, Ggx, resolves_flakes
 from nacre.device.plugin import MIN_COS, LobePlugin, UniformNodes, device_array, flag, opaque, opaque_int, read, read2
 from nacre.device.tables import DeviceTable, WavelengthAxis
 

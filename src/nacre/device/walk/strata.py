@@ -12,8 +12,7 @@ from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.layered import MATCHED, Layered
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
-from nacre.device.facet_distributions import Beckmann, Facets, Ggx
-from nacre.device.glints import DeviceGlints
+from nacre.device.facet_distributions import Beckmann, DeviceGlints, Facets, Ggx
 from nacre.device.lobe_sum import bsdf_class, update_lobes
 from nacre.device.plugin import MIN_COS, MakePlugin, cell_at, device_array, opaque, with_wi
 from nacre.device.tables import DeviceTable, Located, WavelengthAxis

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,13 +19,14 @@ from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 from nacre.core.arrays import Array, interpolate, take_uniform
 from nacre.core.errors import UnsupportedError
 from nacre.core.quadrature import gauss_legendre
-from nacre.families.contract import Diffracting, Pixels, Traits
+from nacre.families.contract import Diffracting, Fabricable, Pixels, Traits
 from nacre.families.grating.outlines import outlines
+from nacre.matter.drawings import CellField, Drawer, DrawingRequest
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.periodic.order_tables import OrderTables, in_common, order_tables
 from nacre.matter.periodic.orders import Orders, coarse_orders, solve_orders
 from nacre.matter.periodic.slices import COARSE, Wall, sliced
-from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Shape
+from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Rectangle, Region, Shape
 
 MIRROR_NODES = 129
 NODE_RATIO = 0.12  # of neighbouring nodes of a period, at least
@@ -85,7 +87,7 @@ class GratingLayer:
 
 
 @dataclass(frozen=True, eq=False)
-class Grating(Diffracting, Pixels):
+class Grating(Diffracting, Pixels, Fabricable):
     """A periodic structure of layers, or of a profile, on a substrate.
 
     Attributes:
@@ -126,16 +128,26 @@ class Grating(Diffracting, Pixels):
         inner = [[material.n_complex(lam) ** 2 for _, material, _ in layer.shapes] for layer in self.layers]
         is_sloped = any(not wall.is_vertical for layer in self.layers for _, _, wall in layer.shapes)
 
+        is_straight = is_sloped and self.cell.period_y is None and all(
+            isinstance(shape, Rectangle) and wall.rounding_nm == 0.0
+            for layer in self.layers for shape, _, wall in layer.shapes
+        )  # fmt: skip
+
         def made(k: int, count: int) -> PeriodicStack:
             layers: list[PatternLayer] = []
+            tilted: list[tuple[PatternLayer, tuple[float, ...]]] = []
             for layer, ground, values in zip(self.layers, grounds, inner, strict=True):
                 shapes = [
                     (shape, complex(e[k]), wall) for (shape, _, wall), e in zip(layer.shapes, values, strict=True)
                 ]  # fmt: skip
                 layers += sliced(layer.thickness_nm, complex(ground[k]), shapes, count)
+                whole = PatternLayer(layer.thickness_nm, complex(ground[k]), tuple((s, e) for s, e, _ in shapes))
+                insets = (float(wall.insets(layer.thickness_nm, np.zeros(1))[0]) for _, _, wall in shapes)
+                tilted.append((whole, tuple(insets)))
             refined = partial(made, k) if is_sloped and count == COARSE else None
             return PeriodicStack(
-                self.cell, float(cover[k]), tuple(layers), complex(substrate[k]), self.profile, refined
+                self.cell, float(cover[k]), tuple(layers), complex(substrate[k]), self.profile, refined,
+                tuple(tilted) if is_straight and count == COARSE else None,
             )  # fmt: skip
 
         return [made(k, COARSE) for k in range(len(lam))]
@@ -171,13 +183,40 @@ class Grating(Diffracting, Pixels):
 
     def pixel_polygons(self) -> list[tuple[int, Array]]:
         """Return the layer (from 1, the upper one first) and the corners of each shape, about the cell's centre."""
-        x, y = self.pitch_nm
+        return self._polygons(self.pitch_nm)
+
+    def _polygons(self, sides_nm: tuple[float, float]) -> list[tuple[int, Array]]:
         return [
             (number, corners)
             for number, layer in enumerate(self.layers, start=1)
             for shape, _, _ in layer.shapes
-            for corners in outlines(shape, x, y)
+            for corners in outlines(shape, *sides_nm)
         ]
+
+    @property
+    def fabrications(self) -> Mapping[str, Drawer]:
+        """Masks of layers with shapes, unless they vary over the surface."""
+        is_drawn = self.period is None and self.turn is None and any(layer.shapes for layer in self.layers)
+        return {"gds": self._field, "oas": self._field} if is_drawn else {}
+
+    def _field(self, request: DrawingRequest) -> CellField:
+        """Return a rectangular cell; a hexagonal lattice has two points in it.
+
+        Raises:
+            UnsupportedError: another oblique lattice.
+        """
+        a = self.cell.period_x
+        if self.cell.period_y == a and abs(abs(np.cos(self.cell.angle_rad)) - 0.5) < 1e-9:
+            if any(isinstance(s, Region) and s.key[0] == "image" for layer in self.layers for s, _, _ in layer.shapes):
+                raise UnsupportedError("an image of an oblique cell cannot be drawn; allowed: a rectangular cell")
+            sides = a, float(np.sqrt(3.0)) * a
+            at_corner = self._polygons((a, a))
+            polygons = [(k, c + at * np.array(sides)) for at in (-0.25, 0.25) for k, c in at_corner]
+        else:
+            sides = self.pitch_nm
+            polygons = self._polygons(sides)
+        layers = {str(k): {"thickness_nm": each.thickness_nm} for k, each in enumerate(self.layers, start=1)}
+        return CellField(tuple(polygons), sides, {"layers": layers, "turn_deg": self.turn_deg})
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
         """Solve the orders on a direction grid: the zero order is a mirror, the others form a lobe.

@@ -10,6 +10,8 @@ from nacre.matter.periodic.structure import Profile
 from nacre.recipe.model import RecipeContext
 
 MAX_POINTS = 20_000
+MAX_FLAT_SLOPE = 20.0  # steeper flanks than this are walls
+STEEP_SAMPLES = 4001
 MAX_GAP = 1.5  # between the end of a table and the period, over its largest step
 
 
@@ -63,11 +65,13 @@ def read_profile(context: RecipeContext, key: str, name: str, period_nm: float, 
         raise context.fail(key, name, why_unreadable(error)) from None
     except UnicodeDecodeError:
         raise context.fail(key, name, "is not a text table") from None
-    rows = []
+    rows: list[list[float]] = []
     for line in text.splitlines()[:MAX_POINTS]:
         try:
             numbers = [float(part) for part in line.replace(";", ",").replace("\t", ",").split(",")]
         except ValueError:
+            if rows and line.strip() and not line.lstrip().startswith("#"):
+                raise context.fail(key, name, f"has a line without numbers: {line.strip()[:40]!r}") from None
             continue  # a heading
         rows.append(numbers[:2])
     if len(rows) < 4 or any(len(row) != 2 for row in rows):
@@ -91,4 +95,9 @@ def read_profile(context: RecipeContext, key: str, name: str, period_nm: float, 
         raise context.fail(key, name, "is flat; allowed: heights that vary")
     spline = CubicSpline(x / period_nm, (z - z.max()) / span, bc_type="periodic")
     slope = spline.derivative()
+    steepest = (depth_nm or span) * float(np.abs(slope(np.linspace(0.0, 1.0, STEEP_SAMPLES))).max()) / period_nm
+    if steepest > MAX_FLAT_SLOPE:
+        raise context.fail(
+            key, name, f"has a flank of slope {steepest:.3g}; allowed: at most {MAX_FLAT_SLOPE:g}, or layers of lines"
+        )
     return Profile(depth_nm or span, (), lambda t: spline(t), lambda t: slope(t), ("spline", *x, *z))

@@ -277,6 +277,8 @@ class ShapeSpec(RecipeModel):
         except Exception:
             raise context.fail(f"{key}.gds", self.gds, "is not a complete GDS file") from None
         names = {cell.name: cell for cell in library.cells}
+        if not names:
+            raise context.fail(f"{key}.gds", self.gds, "holds no cell")
         if self.cell is not None and self.cell not in names:
             raise context.fail(
                 f"{key}.cell", self.cell, f"is not in {self.gds}; allowed: {', '.join(sorted(names)[:20])}"

@@ -13,7 +13,7 @@ from nacre.bsdf.texture_spec import TextureSpec
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.families.grating.material import Grating, GratingLayer, Spread, VaryingPeriod
-from nacre.families.grating.profiles import profile_of, read_profile
+from nacre.families.grating.profiles import MAX_FLAT_SLOPE, profile_of, read_profile
 from nacre.families.grating.shapes import ShapeSpec, check_shapes, widest
 from nacre.matter.indices.spec import IndexSpec, ambient_in
 from nacre.matter.periodic.structure import Cell, Profile
@@ -25,7 +25,6 @@ MAX_PERIOD_NM = 100_000.0
 MAX_CROSSED_NM = 5_000.0
 MIN_PERIOD_NM = 10.0
 MAX_RATIO = 4.0  # of a period that varies over the surface
-MAX_FLAT_SLOPE = 20.0  # steeper flanks than this are walls
 PROFILE_KEYS = {
     # key -> profiles that it describes
     "apex": ("triangle", "blazed"),

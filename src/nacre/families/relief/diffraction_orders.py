@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -56,7 +57,7 @@ def _ratio(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np.c
 
 def coating_reflectance(n: NDArray[np.complex128], n_ambient: float = 1.0) -> Callable[[Array], Array]:
     """Return the reflectance as a function of the cosine, for `plan_cut`."""
-    return lambda cos_d: fresnel_reflectance(cos_d, n, n_ambient)
+    return partial(fresnel_reflectance, n=n, n_ambient=n_ambient)
 
 
 Prefactor = Literal["kirchhoff", "published"]

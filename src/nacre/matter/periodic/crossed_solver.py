@@ -63,7 +63,7 @@ def solve_rectangles(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad:
         answers.append(_solved(stack, k0, transverse, *_rectangle_class(stack, k0, (axes[0], axes[1]))))
     if is_square:
         answers.append(answers[0].swapped())
-    return _joined(stack, k0, theta_rad, phi_rad, answers, "rectangles")
+    return joined_answers(stack, k0, theta_rad, phi_rad, answers, "rectangles")
 
 
 def box_symmetries(stack: PeriodicStack) -> tuple[bool, bool, bool]:
@@ -175,7 +175,7 @@ def _classes(symmetric: tuple[bool, ...]) -> list[tuple[bool | None, bool | None
 
 
 @dataclass(frozen=True, eq=False)
-class _Answer:
+class Answer:
     """Tangential fields of orders for light with E_x = 1 and with E_y = 1: a symmetry class has one of the two.
 
     Attributes:
@@ -187,10 +187,10 @@ class _Answer:
     down: dict[tuple[int, int], Array]
     unknowns: int
 
-    def swapped(self) -> _Answer:
+    def swapped(self) -> Answer:
         """Return the answer with x and y exchanged: the class of E_y in a structure that the exchange leaves alike."""
         sides = [{(n, m): e[::-1, ::-1] for (m, n), e in side.items()} for side in (self.up, self.down)]
-        return _Answer(sides[0], sides[1], self.unknowns)
+        return Answer(sides[0], sides[1], self.unknowns)
 
 
 def _rectangle_class(stack: PeriodicStack, k0: float, axes: tuple[Axis, Axis]) -> Parts:
@@ -252,7 +252,7 @@ def _response(
 
 def _solved(
     stack: PeriodicStack, k0: float, transverse: Array, of: Components, modes: Sequence[Modes | Slab], content: Content
-) -> _Answer:  # fmt: skip
+) -> Answer:  # fmt: skip
     """Join the layers for light with E_x = 1 and with E_y = 1 in order (0, 0), and read the orders."""
     first, second = content(0, 0)
     kept = (of.x, of.y)
@@ -272,11 +272,11 @@ def _solved(
             in_x, in_y = content(int(m), int(n))
             found[int(m), int(n)] = np.stack([in_x @ amplitudes[: len(of.x)], in_y @ amplitudes[len(of.x) :]])
         sides.append(found)
-    return _Answer(sides[0], sides[1], len(wave))
+    return Answer(sides[0], sides[1], len(wave))
 
 
-def _joined(
-    stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, answers: list[_Answer], method: str
+def joined_answers(
+    stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, answers: list[Answer], method: str
 ) -> OrderSolution:  # fmt: skip
     """Return the orders for s and p light from the classes of symmetry."""
     transverse, k_z, incident = incident_wave(stack, theta_rad, phi_rad)
@@ -317,7 +317,7 @@ def solve_fourier(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
         _solved(stack, k0, transverse, *_fourier_class(stack, k0, transverse, layers, orders, parities))
         for parities in _classes(symmetric)
     ]
-    return _joined(stack, k0, theta_rad, phi_rad, answers, "fourier")
+    return joined_answers(stack, k0, theta_rad, phi_rad, answers, "fourier")
 
 
 def fourier_response(

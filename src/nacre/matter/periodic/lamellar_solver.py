@@ -55,6 +55,7 @@ class Space:
         mesh: the elements.
         region: `[function]`, the element of each discontinuous function.
         mass: `[element, node, node]`, before periodicity.
+        inverse: `[case, function, function]`, of the mass of weight 1.
         phase: `[case]`.
         slope: `[case, function, function]`, G.
         alpha, numbers: `[case, wave]`, of plane waves, over k0, and their orders.
@@ -64,6 +65,7 @@ class Space:
     mesh: LineMesh
     region: Array
     mass: Array
+    inverse: Array
     phase: Array
     slope: Array
     alpha: Array
@@ -251,7 +253,7 @@ def _layer_states(
 
 
 @lru_cache(maxsize=32)
-def _fixed(mesh: LineMesh, half: int) -> tuple[Array, Array, Array, Array, Array]:
+def _fixed(mesh: LineMesh, half: int) -> tuple[Array, Array, Array, Array, Array, tuple[Array, Array, Array]]:
     """Return what is common to all phases.
 
     Returns:
@@ -259,6 +261,7 @@ def _fixed(mesh: LineMesh, half: int) -> tuple[Array, Array, Array, Array, Array
         points: `[point]`, for the integrals.
         weighted: `[node, point]`, the continuous functions.
         waves: `[point, wave]`, plane waves of orders -half to half.
+        inverses: of the mass of weight 1, with what the phases change.
     """
     nodes = mesh.size + 1
     mass, slope = np.zeros((len(mesh.degrees), nodes, nodes)), np.zeros((mesh.size, nodes))
@@ -275,14 +278,23 @@ def _fixed(mesh: LineMesh, half: int) -> tuple[Array, Array, Array, Array, Array
         weighted.append(wide)
         row += degree
     at = np.concatenate(points)
-    return mass, slope, at, np.hstack(weighted), np.exp(2j * np.pi * np.outer(at, np.arange(-half, half + 1)))
+    # the mass of phase c is core + conj(c) e_0 row + c row e_0: its inverse differs from the core's by two columns
+    total, last = mass.sum(axis=0), len(mesh.edges) - 1
+    core, row_last = (np.delete(each, last, axis=-1) for each in (np.delete(total, last, axis=0), total[last]))
+    core[0, 0] += total[last, last]
+    pair = np.stack([np.eye(mesh.size)[0], row_last], axis=1)
+    inverse = np.linalg.inv(core)
+    inverses = inverse, inverse @ pair, pair.T @ inverse @ pair
+    return mass, slope, at, np.hstack(weighted), np.exp(2j * np.pi * np.outer(at, np.arange(-half, half + 1))), inverses
 
 
 def _space(mesh: LineMesh, half: int, length: Array, alpha_0: Array) -> Space:
     """Return both spaces with `half` plane waves to each side; `length` is the period times k0."""
     last = len(mesh.edges) - 1
-    mass, slope, points, weighted, waves = _fixed(mesh, half)
+    mass, slope, points, weighted, waves, (inverse, sides, middle) = _fixed(mesh, half)
     phase = np.exp(1j * alpha_0 * length)
+    swap = np.zeros((len(length), 2, 2), dtype=complex)
+    swap[:, 0, 1], swap[:, 1, 0] = phase.conj(), phase
     shift = -np.round(alpha_0 * length / (2.0 * np.pi)).astype(int)
     numbers = np.arange(-half, half + 1) + shift[:, None]
     alpha = alpha_0[:, None] + 2.0 * np.pi * numbers / length[:, None]
@@ -292,7 +304,8 @@ def _space(mesh: LineMesh, half: int, length: Array, alpha_0: Array) -> Space:
     slopes = np.repeat(slope[None].astype(complex), len(length), axis=0)
     slopes[:, :, 0] += phase[:, None] * slope[:, last]
     return Space(
-        mesh, np.repeat(np.arange(len(mesh.degrees)), mesh.degrees), mass, phase,
+        mesh, np.repeat(np.arange(len(mesh.degrees)), mesh.degrees), mass,
+        inverse - sides @ np.linalg.solve(swap + middle, sides.T), phase,
         np.delete(slopes, last, axis=2) / length[:, None, None], alpha, numbers, flat, np.delete(smooth, last, axis=1),
     )  # fmt: skip
 
@@ -333,12 +346,12 @@ def _states(space: Space, values: Array, depth: Array, k_y: Array) -> list[tuple
     up, masses = space.slope.conj().swapaxes(1, 2), space.masses(values)
     p_x = identity - space.slope @ np.linalg.solve(masses, up)
     q_x = values[:, space.region]
-    p_y, q_y = np.linalg.inv(space.masses(np.ones_like(values))), masses - up @ space.slope
+    p_y, q_y = space.inverse, masses - up @ space.slope
     squared = np.concatenate([p_x * q_x[:, None], p_y @ q_y]) - np.tile(k_y**2, 2)[:, None, None] * identity
     for count in (1, 2):
         half = np.tile(0.5 * depth / count, 2)[:, None, None]
         tangent = half * tangent_over_root(half**2 * squared)
-        if np.abs(tangent).max() < LARGEST_TANGENT * np.abs(half).max():
+        if (tangent.real**2 + tangent.imag**2).max() < (LARGEST_TANGENT * half.max()) ** 2:
             break
     return [(tangent, np.concatenate([p_x, p_y]), q_x, q_y)] * count
 

@@ -218,7 +218,7 @@ def line_basis(mesh: LineMesh, alpha_0: float, reach: float) -> LineBasis:
     while resolved < size and ordered[resolved] - ordered[resolved - 1] < 0.05 * 2.0 * np.pi / mesh.period:
         resolved += 1
     numbers, alpha = all_numbers[rank][:size], all_alpha[rank][:size]
-    waves, flat_waves = _plane_waves(mesh, alpha[:resolved], phase)
+    waves, flat_waves = plane_waves(mesh, alpha[:resolved], phase)
     waves = np.linalg.solve(mass, waves)
     continuous = _orthonormal(np.hstack([waves, modes[:, resolved:]]), mass)
     root = np.sqrt(np.maximum(squared[resolved:], 1e-300)) * np.where(alpha[resolved:] < 0, -1.0, 1.0)
@@ -227,7 +227,7 @@ def line_basis(mesh: LineMesh, alpha_0: float, reach: float) -> LineBasis:
     return LineBasis(mesh, numbers, alpha, continuous, discontinuous, phase, resolved)
 
 
-def _plane_waves(mesh: LineMesh, alpha: Array, phase: complex) -> tuple[Array, Array]:
+def plane_waves(mesh: LineMesh, alpha: Array, phase: complex) -> tuple[Array, Array]:
     """Return the integrals of the functions of both spaces with normalised plane waves, `[function, wave]`."""
     smooth = np.zeros((mesh.size + 1, len(alpha)), dtype=complex)
     flat = []

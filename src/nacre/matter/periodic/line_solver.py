@@ -16,6 +16,7 @@ from nacre.matter.periodic.line_basis import (
     line_mesh,
     regions,
 )
+from nacre.matter.periodic.line_elements import axial
 from nacre.matter.periodic.profile_coordinates import (
     Ports,
     aligned,
@@ -179,7 +180,7 @@ def solve_profile(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
     zero = in_at[int(np.flatnonzero(orders_in[:, 0] == 0)[0])]
     wave = np.zeros((2 * size, 2), dtype=complex)
     cosine, sine = np.array([np.cos(phi_rad)]), np.array([np.sin(phi_rad)])
-    wave[zero], wave[size + zero] = _axial(cosine, sine, -k_z, stack.cover)[0]
+    wave[zero], wave[size + zero] = axial(cosine, sine, -k_z, stack.cover)[0]
     cover_states = state(up_field, up_flux, cover, k_y, parts), state(in_field, in_flux, cover, k_y, parts)
     substrate_down = state(out_field, out_flux, substrate, k_y, parts)
     if stack.is_clear and all(np.imag(value) == 0.0 for value in (*numbers, substrate)):
@@ -211,9 +212,7 @@ def solve_profile(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
         t_x = np.where(length < 1e-12, np.cos(phi_rad), waves[:, 0] / safe)
         t_y = np.where(length < 1e-12, np.sin(phi_rad), waves[:, 1] / safe)
         fields = np.stack([amplitudes[at], amplitudes[size + at]], axis=1)
-        jones = (
-            np.linalg.solve(_axial(t_x, t_y, beta, index), fields) * np.exp(1j * np.abs(beta) * shift)[:, None, None]
-        )
+        jones = np.linalg.solve(axial(t_x, t_y, beta, index), fields) * np.exp(1j * np.abs(beta) * shift)[:, None, None]
         # the discrete power of a mode, with which energy is conserved exactly; equal to |beta| in the limit
         ratio = np.abs(powers / incident_power)
         efficiency = np.sum(np.abs(jones) ** 2, axis=1) * ratio[:, None]
@@ -233,13 +232,6 @@ def solve_profile(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
 
 def _power(field: Array, flux: Array, at: Array) -> Array:
     return np.einsum("ij,ij->j", field[:, at].conj(), flux[:, at]).imag
-
-
-def _axial(t_x: Array, t_y: Array, k_z: Array | float, index: float) -> Array:
-    """Return the matrices `[order, 2, 2]` from (s, p) to (E_y, H_y)."""
-    k_z = np.broadcast_to(k_z, t_x.shape)
-    rows = [[t_x, t_y * k_z / index], [-t_y * k_z, index * t_x]]
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def _profile_mesh(stack: PeriodicStack, profile: Profile, period: float, k0: float, level: int) -> LineMesh:

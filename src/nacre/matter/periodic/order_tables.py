@@ -29,7 +29,7 @@ from nacre.matter.periodic.order_responses import (
     responses,
     solved_nodes,
 )
-from nacre.matter.periodic.orders import cached_solution, case_key, packed_solutions, unpacked_solutions
+from nacre.matter.periodic.orders import DESCRIPTION, cached_solution, case_key, packed_solutions, unpacked_solutions
 from nacre.matter.periodic.solve import difference, method_of, size_count, solve_many
 from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle, propagating
 
@@ -149,7 +149,14 @@ def _solved_tables(
     # the error of the coarse solutions, at a few directions
     some = directions[:: max(len(directions) // CHECKS, 1)]
     cases = [(t, a, k * len(stacks) // len(some)) for k, (t, a) in enumerate(some)]
-    pairs = zip(solve_many([wave(*case) for case in cases], step), in_workers(check, cases), strict=True)
+    waves = [wave(*case) for case in cases]
+    # lines are solved faster in one call
+    coarse = (
+        solve_many(waves, step)
+        if method == "lines"
+        else in_workers(lambda each: solve_many([each], step)[0], waves, description=DESCRIPTION)
+    )
+    pairs = zip(coarse, in_workers(check, cases, description=DESCRIPTION), strict=True)
     error = max((difference(*pair) for pair in pairs), default=0.0)
     made = OrderTables(
         reflected[:, :, zero].astype(float), transmitted[:, :, zero].astype(float), np.delete(reflected, zero, axis=2),
@@ -201,7 +208,8 @@ class Parts:
                 cache_arrays(f"{self.key}-{label}", result[0])
 
         left = [label for label in items if label not in found]
-        return found | {label: arrays for label, (arrays, _) in zip(left, in_workers(timed, left, keep), strict=True)}
+        solved = in_workers(timed, left, keep, DESCRIPTION)
+        return found | {label: arrays for label, (arrays, _) in zip(left, solved, strict=True)}
 
     def drop(self) -> None:
         """Remove all parts."""

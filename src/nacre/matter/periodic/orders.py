@@ -16,7 +16,8 @@ from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicSta
 from nacre.matter.periodic.types import Array
 from nacre.matter.stack.solve import mueller
 
-VERSION = 8  # raised when numbers change, which invalidates stored solutions
+VERSION = 9  # raised when numbers change, which invalidates stored solutions
+DESCRIPTION = "orders of the periodic structure"  # in announcements of long work
 MIN_STORED_S = 0.2  # solutions that take less are not stored
 
 
@@ -103,7 +104,7 @@ def solve_orders(
         if keys[case] and result[1] > MIN_STORED_S:
             cache_arrays(keys[case], _packed(result[0]))
 
-    in_workers(timed, [case for case in cases if case not in found], keep)
+    in_workers(timed, [case for case in cases if case not in found], keep, DESCRIPTION)
     return gathered(cases, [found[case] for case in cases], angles, azimuth_rad, grid)
 
 

@@ -89,7 +89,7 @@ def solved_case(case: RidgeCase, along: float) -> tuple[Array, Array]:
             case.wavelength_nm, along,
         )  # fmt: skip
         factor = array_factor(cell, fan.sines, along, wave)
-        return fan.sines, *(_on_nodes(each, fan.sines, case, along) for each in (fan.power, factor))
+        return fan.sines, _on_nodes(fan.power, fan.sines, case, along), _on_nodes(factor, fan.sines, case, along)
 
     sines, found, factors = zip(*in_threads(work, range(case.draws)), strict=True)
     expected = mean_array_factor(case.statistics, sines[0], along, wave)

@@ -139,15 +139,21 @@ def tangent_over_root(u: Array) -> Array:
     slab of e'' = -u e is doubled by its reflectance and transmittance between resistive media, which remain below 1.
     """
     squared = u @ u
-    norms = [np.abs(each).sum(axis=-2).max(axis=-1) for each in (u, squared)]
-    size = float(np.minimum(norms[0], np.sqrt(norms[1])).max())
+    sizes = [np.sqrt(each.real**2 + each.imag**2) for each in (u, squared)]  # a third of the time of `abs`
+    norms = [np.minimum(each.sum(axis=-2).max(axis=-1), each.sum(axis=-1).max(axis=-1)) for each in sizes]
+    size = float(np.minimum(norms[0], np.sqrt(norms[1])).max())  # largest eigenvalue at most
     doublings = int(np.ceil(np.log(max(size / FRACTION_REACH, 1.0)) / np.log(4.0)))
     scale = 0.25**doublings
     one, u, squared = np.eye(u.shape[-1]), scale * u, scale**2 * squared
     cubed = squared @ u
 
+    diagonal = slice(None, None, len(one) + 1)
+
     def part(c: Array) -> Array:
-        return np.asarray(c[0] * one + c[1] * u + c[2] * squared)
+        total = c[1] * u
+        total += c[2] * squared
+        total.reshape(-1, one.size)[:, diagonal] += c[0]
+        return np.asarray(total)
 
     above, below = (part(c[:3]) + cubed @ (part(c[3:6]) + cubed @ part(c[6:])) for c in _tangent_fraction())
     if doublings <= SHORT_RULE:

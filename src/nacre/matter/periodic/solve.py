@@ -7,20 +7,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from nacre.matter.periodic.crossed_solver import FOURIER_STEPS, RECTANGLE_STEPS, solve_fourier, solve_rectangles
+from nacre.matter.periodic.element_solver import ELEMENT_STEPS, has_curved_metal, solve_ovals
 from nacre.matter.periodic.lamellar_solver import is_patterned, solve_lamellar
+from nacre.matter.periodic.line_elements import SIZES, solve_elements
 from nacre.matter.periodic.line_solver import solve_lines, solve_profile
-from nacre.matter.periodic.structure import NotConvergedError, OrderSolution, PeriodicStack, Rectangle
+from nacre.matter.periodic.structure import NotConvergedError, OrderSolution, PeriodicStack, Rectangle, WallsMeetError
 from nacre.matter.periodic.types import Array
 
 # error of the finer of two sizes over their difference, from the observed rates of convergence
-SAFETY = {"lines": 0.5, "profile": 0.5, "rectangles": 1.5, "fourier": 2.75}
-TOLERANCE = {"lines": 2e-4, "profile": 5e-5, "rectangles": 3e-3, "fourier": 4e-3}
-LEAST_ERROR = {"lines": 1e-5, "profile": 2e-6, "rectangles": 2e-4, "fourier": 2e-4}
+SAFETY = {"lines": 0.5, "profile": 0.5, "elements": 0.7, "rectangles": 1.5, "fourier": 2.75, "ovals": 0.5}
+TOLERANCE = {"lines": 2e-4, "profile": 5e-5, "elements": 2e-4, "rectangles": 3e-3, "fourier": 4e-3, "ovals": 4e-3}
+LEAST_ERROR = {"lines": 1e-5, "profile": 2e-6, "elements": 1e-5, "rectangles": 2e-4, "fourier": 2e-4, "ovals": 1e-3}
 LARGEST_ERROR = 2e-2  # where no tolerance is asked for, a larger error is refused; a smaller one is stated
+SINGULAR = 1.5e-3  # error of profiles with corners above which elements are tried, in some ten seconds
 MAX_WALLS = 6  # along one axis: elements between more of them are too many
 SLICES = {"lines": (12, 24), "fourier": (12,)}  # of sloping walls, beyond those at first
 SLICES_RATE = 1.5  # observed: the error of steps falls as count^-2 in s, as count^-1 to count^-1.5 in p
@@ -38,6 +42,8 @@ def method_of(stack: PeriodicStack) -> str:
     if stack.cell.period_y is None or not shapes:
         return "lines"
     boxes = [shape for shape in shapes if isinstance(shape, Rectangle)]
+    if has_curved_metal(stack):
+        return "ovals"
     if not stack.cell.is_rectangular or len(boxes) < len(shapes):
         return "fourier"
     along_x = {x for b in boxes for x in (b.x_0, b.x_1)}
@@ -45,12 +51,14 @@ def method_of(stack: PeriodicStack) -> str:
     return "rectangles" if max(len(along_x), len(along_y)) <= MAX_WALLS else "fourier"
 
 
-RUNS: dict[str, tuple[Callable[..., OrderSolution], tuple[int, ...]]] = {
+RUNS: dict[str, tuple[Callable[..., OrderSolution], tuple[Any, ...]]] = {
     # method -> solver, and its sizes in the order in which they are tried
     "lines": (solve_lines, (0, 1, 2, 3)),
     "profile": (solve_profile, (0, 1, 2, 3, 4, 5)),
+    "elements": (solve_elements, tuple(range(len(SIZES)))),
     "rectangles": (solve_rectangles, RECTANGLE_STEPS),
     "fourier": (solve_fourier, FOURIER_STEPS),
+    "ovals": (solve_ovals, ELEMENT_STEPS),
 }
 
 
@@ -118,15 +126,46 @@ def solve(
     Raises:
         NotConvergedError: the largest size does not reach the tolerance.
     """
+    case = wavelength_nm, theta_rad, phi_rad
+    method = method_of(stack)
+    if stack.tilted is not None:
+        try:
+            best = _finest("elements", stack, case, tolerance or TOLERANCE["elements"])
+            return _checked(best, wavelength_nm, tolerance, is_strict)
+        except WallsMeetError:
+            pass  # slices serve
     if stack.refined is not None:
         return _solve_slices(stack, wavelength_nm, theta_rad, phi_rad, tolerance, is_strict)
-    method = method_of(stack)
+    bound = tolerance or TOLERANCE[method]
+    best = _finest(method, stack, case, bound)
+    if method == "profile" and best.error > max(bound, SINGULAR if stack.profile and stack.profile.corners else 0.0):
+        try:
+            other = _finest("elements", stack, case, bound)
+        except NotConvergedError:
+            other = best
+        best = min(best, other, key=lambda found: found.error)
+    return _checked(best, wavelength_nm, tolerance, is_strict)
+
+
+def _checked(best: OrderSolution, wavelength_nm: float, tolerance: float | None, is_strict: bool) -> OrderSolution:
+    """Return a solution unless its error is above the tolerance, or, where none is asked for, too large."""
+    if is_strict and best.error > (tolerance or LARGEST_ERROR):
+        raise NotConvergedError(
+            f"orders at {wavelength_nm:g} nm: error {best.error:.1e} with {best.unknowns} unknowns, above the "
+            f"tolerance {tolerance or TOLERANCE[best.method]:g}; allowed: a larger model.tolerance, or a structure "
+            "with fewer or simpler shapes"
+        )
+    return best
+
+
+def _finest(method: str, stack: PeriodicStack, case: tuple[float, float, float], bound: float) -> OrderSolution:
+    """Return the solution whose estimated error is the smallest, or the first within `bound`."""
     run, sizes = RUNS[method]
+    wavelength_nm, theta_rad, phi_rad = case
     k0 = 2.0 * np.pi / wavelength_nm
-    bound = tolerance if tolerance is not None else TOLERANCE[method]
     previous: OrderSolution | None = None
     best: OrderSolution | None = None
-    last = 0
+    last: Any = 0
     for size in sizes:
         try:
             found = run(stack, k0, theta_rad, phi_rad, size)
@@ -145,14 +184,9 @@ def solve(
             if best is None or candidate.error < best.error:
                 best = candidate
             if best.error <= bound:
-                return best
+                break
         previous, last = found, size
     assert best is not None
-    if is_strict and best.error > (bound if tolerance is not None else LARGEST_ERROR):
-        raise NotConvergedError(
-            f"orders at {wavelength_nm:g} nm: error {best.error:.1e} with {best.unknowns} unknowns, above the "
-            f"tolerance {bound:g}; allowed: a larger model.tolerance, or a structure with fewer or simpler shapes"
-        )
     return best
 
 

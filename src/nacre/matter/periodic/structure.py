@@ -99,6 +99,8 @@ class PeriodicStack:
         layers: from the top down.
         substrate: complex index.
         refined: of a structure with sloping walls, which `layers` approximate by steps: returns it with more steps.
+        tilted: the layers of lines with straight walls, each with the distance by which the upper end of each wall lies
+            inside its place at half the height.
     """
 
     cell: Cell
@@ -107,6 +109,7 @@ class PeriodicStack:
     substrate: complex
     profile: Profile | None = None
     refined: Callable[[int], PeriodicStack] | None = field(default=None, compare=False)
+    tilted: tuple[tuple[PatternLayer, tuple[float, ...]], ...] | None = field(default=None, compare=False)
 
     @property
     def is_clear(self) -> bool:
@@ -155,6 +158,10 @@ class OrderSolution:
 
 class NotConvergedError(NacreError):
     """The orders do not reach the tolerance within the largest size."""
+
+
+class WallsMeetError(NotConvergedError):
+    """Sloping walls meet, so that elements cannot follow them."""
 
 
 def check_unknowns(count: int, k0: float) -> None:

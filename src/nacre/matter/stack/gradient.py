@@ -91,7 +91,7 @@ def double_precision() -> AbstractContextManager[Any]:
 
     if hasattr(jax, "enable_x64"):
         return jax.enable_x64(True)
-    from jax.experimental import enable_x64  # type: ignore[attr-defined]  # in older releases
+    from jax.experimental import enable_x64  # in older releases
 
     return enable_x64(True)
 

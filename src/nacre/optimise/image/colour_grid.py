@@ -5,9 +5,10 @@ The node spacing is halved until the interpolation error, measured at the new no
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from nacre.optimise.thin_film.adapter import drawn_factors
 # nodes per parameter, by parameter count
 FIRST_NODES = {1: 17, 2: 9}
 MAX_NODES = {1: 2049, 2: 257}
+DEFAULT_EVALUATIONS = {1: 257, 2: 1089}  # of materials that are not computed in batches
 FINE = {1: 8192, 2: 512}  # interpolated grid points
 SPLINE_ERROR = 0.1  # largest interpolation dE00
 SPLINE_PERCENTILE = 99.9  # share within that error
@@ -91,8 +93,8 @@ class ColourSampler:
         low = np.array([[parameter.low for parameter in self.parameters]])
         return drawn_factors(self.material, self._paths, low, [self.at], self.grid) is not None
 
-    def xyz(self, points: Array, is_over: Callable[[], bool] = lambda: False) -> Array | None:
-        """Return XYZ `[point, 3]` at unit cube points `[point, parameter]`; None if `is_over` stops it.
+    def xyz(self, points: Array) -> Array:
+        """Return XYZ `[point, 3]` at unit cube points `[point, parameter]`.
 
         Raises:
             NacreError: a material cannot be computed.
@@ -102,47 +104,113 @@ class ColourSampler:
         for start in range(0, len(points), BATCH):
             values = low + (high - low) * points[start : start + BATCH]
             factors = drawn_factors(self.material, self._paths, values, [self.at], self.grid)
-            if factors is not None:
-                found.append(factors[:, 0] @ self.weights)
-                continue
-            for row in values:
-                if is_over():
-                    return None
-                variant = self._make(dict(zip(self._paths, map(float, row), strict=True)))
-                found.append(
-                    (simulate_measurement(variant, [self.at], self.grid, seed=self.seed).factors[0] @ self.weights)[
-                        None
-                    ]
+            if factors is None:
+                variants = (self._make(dict(zip(self._paths, map(float, row), strict=True))) for row in values)
+                factors = np.stack(
+                    [simulate_measurement(v, [self.at], self.grid, seed=self.seed).factors for v in variants]
                 )
+            found.append(factors[:, 0] @ self.weights)
         return np.concatenate(found)
 
 
-def level_grid(sampler: ColourSampler, levels: int) -> ColourGrid:
+@dataclass
+class Palette:
+    """Colours of a sampler, computed in a fixed order up to a budget, from which an interrupted design resumes.
+
+    Attributes:
+        sampler: gives the colours.
+        evaluations: budget; None: chosen by the parameter count.
+        solved: XYZ of an earlier run, in the order of evaluation; more are appended. Batches are not stored.
+        on_progress: called after each material with the number solved.
+        is_interrupted: polled before each material.
+        end_time: monotonic time at which the refinement ends.
+        is_stopped: whether an interrupt or the time ended the refinement.
+    """
+
+    sampler: ColourSampler
+    evaluations: float | None = None
+    solved: list[list[float]] = field(default_factory=list)
+    on_progress: Callable[[int], None] = lambda count: None
+    is_interrupted: Callable[[], bool] = lambda: False
+    end_time: float = np.inf
+    is_stopped: bool = False
+    used: int = 0
+
+    @functools.cached_property
+    def limit(self) -> float:
+        """Budget."""
+        count = len(self.sampler.parameters)
+        default = MAX_NODES[count] ** count if self.sampler.is_batched else DEFAULT_EVALUATIONS[count]
+        return self.evaluations or default
+
+    def first(self, points: Array, key: str) -> Array:
+        """Return colours `[point, 3]` without which no picture is possible.
+
+        Raises:
+            RecipeError: the budget is too small.
+            KeyboardInterrupt: before all are solved.
+        """
+        if self.evaluations is not None and len(points) > self.evaluations:
+            raise RecipeError(
+                f"{self.sampler.material.context.source}: search.evaluations = {self.evaluations}: {key} needs "
+                f"{len(points)} materials; allowed: at least as many"
+            )
+        found = self._xyz(points, self.is_interrupted)
+        if found is None:
+            raise KeyboardInterrupt
+        return found
+
+    def more(self, points: Array) -> Array | None:
+        """Return further colours; None if the budget does not suffice or the refinement is stopped."""
+        if self.used + len(points) > self.limit:
+            return None
+
+        def is_over() -> bool:
+            return self.is_interrupted() or time.monotonic() > self.end_time
+
+        found = None if is_over() else self._xyz(points, is_over)
+        self.is_stopped = found is None
+        return found
+
+    def _xyz(self, points: Array, is_over: Callable[[], bool]) -> Array | None:
+        if self.sampler.is_batched:
+            self.used += len(points)
+            return self.sampler.xyz(points)
+        start = self.used
+        for point in points[max(len(self.solved) - start, 0) :]:
+            if is_over():
+                return None
+            self.solved.append(self.sampler.xyz(point[None])[0].tolist())
+            self.on_progress(len(self.solved))
+        self.used += len(points)
+        return np.array(self.solved[start : self.used])
+
+
+def level_grid(palette: Palette, levels: int) -> ColourGrid:
     """Return the colours for all level combinations.
 
     Raises:
+        RecipeError: they are more than the budget.
         NacreError: a material cannot be computed.
     """
-    count, units = len(sampler.parameters), np.linspace(0.0, 1.0, levels)
-    xyz = sampler.xyz(_points(units, count))
-    assert xyz is not None
-    return ColourGrid(_axes(sampler.parameters, units), xyz.reshape(*[levels] * count, 3), levels, 0.0)
+    parameters = palette.sampler.parameters
+    count, units = len(parameters), np.linspace(0.0, 1.0, levels)
+    xyz = palette.first(_points(units, count), f"limits.height_levels = {levels}")
+    return ColourGrid(_axes(parameters, units), xyz.reshape(*[levels] * count, 3), levels, 0.0)
 
 
-def fine_grid(sampler: ColourSampler, seconds: float, is_interrupted: Callable[[], bool] = lambda: False) -> ColourGrid:
+def fine_grid(palette: Palette) -> ColourGrid:
     """Return the colours over the full ranges, so finely that neighbours hardly differ.
 
-    Args:
-        seconds: refinement time limit.
-        is_interrupted: polled; true ends the refinement.
+    The result depends on the budget in evaluations alone, unless the refinement is stopped.
 
     Raises:
-        RecipeError: the first nodes cannot be computed in time.
+        RecipeError: the first nodes are more than the budget.
         NacreError: a material cannot be computed.
     """
     from scipy.interpolate import make_interp_spline
 
-    start, count = time.monotonic(), len(sampler.parameters)
+    sampler, count = palette.sampler, len(palette.sampler.parameters)
     nodes = FIRST_NODES[count]
 
     def spline(values: Array, units: Array, at: Array) -> Array:
@@ -150,26 +218,15 @@ def fine_grid(sampler: ColourSampler, seconds: float, is_interrupted: Callable[[
             values = make_interp_spline(units, values, k=3, axis=axis)(at)
         return values
 
-    def is_over() -> bool:
-        return time.monotonic() - start > seconds or is_interrupted()
-
     units = np.linspace(0.0, 1.0, nodes)
-    first = sampler.xyz(_points(units, count), is_over)
-    if first is None:
-        if is_interrupted():
-            raise KeyboardInterrupt
-        each = (time.monotonic() - start) / nodes
-        raise RecipeError(
-            f"{sampler.material.context.source}: {nodes**count} materials cannot be solved in {seconds:.0f} s; give "
-            f"search.seconds some {10 * nodes**count * max(each, 0.1):.0f}, or free one parameter"
-        )
-    xyz, error = first.reshape(*[nodes] * count, 3), np.inf
-    while error > SPLINE_ERROR and nodes < MAX_NODES[count] and not is_over():
+    xyz = palette.first(_points(units, count), "a picture").reshape(*[nodes] * count, 3)
+    error = np.inf
+    while error > SPLINE_ERROR and nodes < MAX_NODES[count]:
         finer = np.linspace(0.0, 1.0, 2 * nodes - 1)
         coarse = (slice(None, None, 2),) * count
         is_new = np.ones([len(finer)] * count, dtype=bool)
         is_new[coarse] = False
-        solved = sampler.xyz(_points(finer, count)[is_new.ravel()], is_over)
+        solved = palette.more(_points(finer, count)[is_new.ravel()])
         if solved is None:
             break
         guess = spline(xyz, units, finer)

@@ -21,10 +21,11 @@ from nacre.core.html import png_uri, render_page
 from nacre.families.contract import Pixels
 from nacre.light import delta_e_2000, lab_to_xyz, xyz_to_lab
 from nacre.material.material import load
+from nacre.optimise.checkpoint import Checkpointer, unreadable
 from nacre.optimise.evaluation import SEED_OFFSET, TargetResult
 from nacre.optimise.gamut import colour_chart
 from nacre.optimise.html_report import PICTURE, REPORT
-from nacre.optimise.image.colour_grid import ColourGrid, ColourSampler, fine_grid, level_grid
+from nacre.optimise.image.colour_grid import ColourGrid, ColourSampler, Palette, fine_grid, level_grid
 from nacre.optimise.image.files import ParameterMap, write_maps
 from nacre.optimise.image.matching import blurred, dither, has_same_hue, map_into_solid, match_colours, nearest_colours
 from nacre.optimise.image.pixels import screen_rgb, srgb_lab, write_pixels
@@ -37,8 +38,9 @@ if TYPE_CHECKING:
     from nacre.plot import Figure
 
 REACHED = "reached.png"
-GRID_SHARE = 0.6  # time limit share for the colour grid
+GRID_SHARE = 0.6  # share of a given time limit, after which the palette is not refined further
 CHECKED_PIXELS, CHECKED_SLOW = 256, 4  # pixels in the final evaluation: batched materials, others
+SPLINE_STATED = 1.0  # dE00 of the interpolation, above which the outcome names it
 MAX_UNREACHABLE = 0.01  # largest unreachable pixel share for a met picture
 CHART_POINTS, CHART_MARKS = 4000, 400  # grid and picture colours in the gamut chart
 
@@ -67,21 +69,13 @@ class PictureDesign:
     white: Array
 
 
-def make_picture(
-    task: DesignTask,
-    sampler: ColourSampler,
-    seconds: float = np.inf,
-    is_interrupted: Callable[[], bool] = lambda: False,
-) -> PictureDesign:
+def make_picture(task: DesignTask, palette: Palette) -> PictureDesign:
     """Assign a reachable colour to each pixel.
 
-    Args:
-        seconds: colour grid time limit.
-        is_interrupted: polled during its computation.
-
     Raises:
-        NacreError: a material cannot be computed in that time, or at all.
+        NacreError: a material cannot be computed, or the budget is too small.
     """
+    sampler = palette.sampler
     target, levels, white = task.targets[0], task.spec.limits.height_levels, sampler.white
     assert target.image is not None
     pixels = np.round(target.image.reshape(-1, 3) * 65535.0).astype(np.int64)
@@ -90,18 +84,18 @@ def make_picture(
     inverse = inverse.reshape(target.image.shape[:2])
     asked = srgb_lab(target.image.reshape(-1, 3)[first])
     if levels is None:
-        grid = fine_grid(sampler, seconds, is_interrupted)
+        grid = fine_grid(palette)
         found = match_colours(asked, np.asarray(xyz_to_lab(grid.xyz, white)), target.tolerance)
         points, distance = found.points[inverse], found.distance[inverse]
         is_mapped, keeps_hue = found.is_mapped[inverse], found.keeps_hue[inverse]
     elif not task.spec.limits.dither:
-        grid = level_grid(sampler, levels)
+        grid = level_grid(palette, levels)
         lab = np.asarray(xyz_to_lab(grid.flat_xyz, white))
         nearest, off = nearest_colours(asked, lab)
         points, distance, is_mapped = nearest[inverse], off[inverse], (off > target.tolerance)[inverse]
         keeps_hue = has_same_hue(asked, lab[nearest])[inverse]
     else:
-        grid = level_grid(sampler, levels)
+        grid = level_grid(palette, levels)
         mapped, moved = map_into_solid(asked, grid.flat_xyz, white, target.tolerance)
         points = dither(np.asarray(lab_to_xyz(mapped, white))[inverse], grid.flat_xyz, white)
         both = np.asarray(lab_to_xyz(asked, white))[inverse], np.asarray(grid.flat_xyz[points])
@@ -116,42 +110,58 @@ def make_picture(
 
 
 def design_picture(
-    task: DesignTask, folder: Path, begun: float, progress: Callable[[DesignProgress], None] | None
+    task: DesignTask, checkpointer: Checkpointer, begun: float, progress: Callable[[DesignProgress], None] | None
 ) -> Design:
     """Design a picture.
 
     Args:
         task: its only target is a picture.
-        folder: exists.
+        checkpointer: of the palette, in the folder of the design, which exists.
         begun: `time.monotonic()` at the start.
-        progress: called before and after the assignment.
+        progress: called before, during and after the computation.
 
     Raises:
-        RecipeError: a map would overwrite the picture, or the time limit is too short.
+        RecipeError: a map would overwrite the picture, or the budget is too small.
         NacreError: the material cannot be computed, or the folder cannot be written.
     """
-    target, total = task.targets[0], task.spec.search.seconds
+    target, search = task.targets[0], task.spec.search
+    total = search.seconds if "seconds" in search.model_fields_set else np.inf
+    folder = checkpointer.folder
     _check_overwriting(task, folder)
 
-    def report(worst: float) -> None:
+    def report(worst: float, said: str, count: int = 0) -> None:
         if progress is not None:
             spent = time.monotonic() - begun
-            said = f"mean distance at {worst:.3g} of its tolerance"
-            progress(DesignProgress(worst, spent, max(total - spent, 0.0), description=said))
+            progress(DesignProgress(worst, spent, max(total - spent, 0.0), count, said))
 
-    report(float("inf"))
+    def solved(count: int) -> None:
+        if checkpointer.is_due:
+            save()
+            report(np.inf, f"{count} of at most {palette.limit} materials of the palette", count)
+
+    def save() -> None:
+        if palette.solved:
+            claim(folder)
+            checkpointer.update([], palette=palette.solved)
+
+    report(np.inf, "palette")
     sampler = _sampler(task)
     with interrupt_flag() as is_interrupted:
-        left = GRID_SHARE * total - (time.monotonic() - begun)
-        picture = make_picture(task, sampler, left, is_interrupted)
-        stopped = is_interrupted()
-    report(float(picture.distance.mean()) / target.tolerance)
+        stored = _stored_palette(folder, checkpointer)
+        limit = None if search.evaluations is None else int(search.evaluations)
+        palette = Palette(sampler, limit, stored, solved, is_interrupted, begun + GRID_SHARE * total)
+        try:
+            picture = make_picture(task, palette)
+        finally:
+            save()
+    worst = float(picture.distance.mean()) / target.tolerance
+    report(worst, f"mean distance at {worst:.3g} of its tolerance", palette.used)
     facts = _figures(task, picture)
     claim(folder)
     solution = _write(task, folder, picture, facts)
     status = "met" if facts["share_out_of_reach"] <= MAX_UNREACHABLE else "out of reach"
-    status = "interrupted" if stopped else status
-    message = in_words(facts, target.tolerance, stopped)
+    status = "interrupted" if palette.is_stopped and is_interrupted() else status
+    message = in_words(facts, target.tolerance, palette.is_stopped)
     summary: dict[str, Any] = {
         "status": status,
         "message": message,
@@ -163,6 +173,21 @@ def design_picture(
         "nacre": __version__,
     }
     return conclude(folder, summary, [solution], lambda design: _write_report(folder, task, design, picture, begun))
+
+
+def _stored_palette(folder: Path, checkpointer: Checkpointer) -> list[list[float]]:
+    """Return the colours of an interrupted run.
+
+    Raises:
+        NacreError: they cannot be read.
+    """
+    try:
+        found = np.array(checkpointer.progress.get("palette", []), dtype=float)
+    except (TypeError, ValueError):
+        raise unreadable(folder) from None
+    if found.size and (found.ndim != 2 or found.shape[1] != 3 or not np.isfinite(found).all()):
+        raise unreadable(folder)
+    return [[float(v) for v in row] for row in found]
 
 
 def _sampler(task: DesignTask, is_final: bool = False) -> ColourSampler:
@@ -214,9 +239,7 @@ def _evaluate_pixels(task: DesignTask, picture: PictureDesign) -> dict[str, Any]
     chosen = values[np.random.default_rng(task.spec.search.seed).integers(len(values), size=count)]
     low, high = (np.array([getattr(p, end) for p in task.parameters]) for end in ("low", "high"))
     points, inverse = np.unique((chosen - low) / (high - low), axis=0, return_inverse=True)
-    xyz = sampler.xyz(points)
-    assert xyz is not None
-    accurate = np.asarray(xyz_to_lab(xyz, sampler.white))[inverse.reshape(-1)]
+    accurate = np.asarray(xyz_to_lab(sampler.xyz(points), sampler.white))[inverse.reshape(-1)]
     indices = tuple(np.searchsorted(axis, column) for axis, column in zip(picture.grid.axes, chosen.T, strict=True))
     interpolated = np.asarray(xyz_to_lab(picture.grid.xyz[indices], picture.white))
     off = np.asarray(delta_e_2000(accurate, interpolated))
@@ -266,6 +289,8 @@ def in_words(facts: dict[str, Any], tolerance: float, stopped: bool = False) -> 
     afar = ", seen from afar" if facts["seen_from_afar"] else ""
     head = "stopped; " if stopped else ""
     head = f"{head}median dE00 {facts['de00_median']:.2f}, 99 % below {facts['de00_99_percent']:.1f}{afar}"
+    if facts["de00_of_spline"] > SPLINE_STATED:
+        head += f"; interpolation between {facts['nodes']} values of a size: dE00 {facts['de00_of_spline']:.1f}"
     if share <= 0.0:
         return f"{head}; every pixel is within {tolerance:g} of a reachable colour"
     return (

@@ -17,7 +17,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.core.files import atomic_path, plain, why_unreadable
 from nacre.core.memory import check_memory
-from nacre.formats.calibration import LARGEST_GREY
+from nacre.formats.layouts import LARGEST_GREY
 from nacre.formats.number_maps import DEFAULT_PIXEL_UM, write_png16, write_tiff16
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ an order with angular width w falls to a share s at the distance w sqrt(-2 ln s)
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,12 @@ from nacre.families.contract import Diffracting, Pixels
 from nacre.formats.layouts import write_pixel_field
 from nacre.light import delta_e_2000, lab_to_xyz, smooth_weights, white_xyz, xyz_to_lab
 from nacre.material.material import Material, load
+from nacre.optimise.checkpoint import Checkpointer
 from nacre.optimise.evaluation import TargetResult
 from nacre.optimise.image.files import ParameterMap, write_maps
 from nacre.optimise.image.pixels import screen_rgb, srgb_lab
 from nacre.optimise.image.validation import PERIOD, TURN
-from nacre.optimise.solutions import Design, Solution, claim, clear_solutions, conclude, write_recipe
+from nacre.optimise.solutions import Design, DesignProgress, Solution, claim, clear_solutions, conclude, write_recipe
 from nacre.optimise.targets import Target
 from nacre.optimise.task import DesignTask
 
@@ -169,15 +170,27 @@ def dot_maps(task: DesignTask, channels: Sequence[Channel]) -> tuple[Array, Arra
     return turns, periods
 
 
-def design_hologram(task: DesignTask, folder: Path, begun: float) -> Design:
+def design_hologram(
+    task: DesignTask, checkpointer: Checkpointer, begun: float, progress: Callable[[DesignProgress], None] | None
+) -> Design:
     """Design a hologram, and write its maps, recipe, mask and previews.
+
+    Args:
+        checkpointer: in the folder of the design, which exists.
+        progress: called after each picture.
 
     Raises:
         RecipeError: a geometry is out of reach, or a file would overwrite a picture.
         NacreError: the material cannot be computed, or the folder cannot be written.
     """
+    folder = checkpointer.folder
     _check_overwriting(task, folder)
-    channels = [make_channel(task, k) for k in range(len(task.targets))]
+    channels = []
+    for number in range(len(task.targets)):
+        channels.append(make_channel(task, number))
+        if progress is not None:
+            said = f"picture {number + 1} of {len(task.targets)}"
+            progress(DesignProgress(np.inf, time.monotonic() - begun, np.inf, description=said))
     _check_apart(task, channels)
     turns, periods = dot_maps(task, channels)
     claim(folder)
@@ -185,7 +198,6 @@ def design_hologram(task: DesignTask, folder: Path, begun: float) -> Design:
     bounds = {p.path: (p.low, p.high) for p in task.parameters}
     span = float(periods.min()), float(periods.max())
     maps = [ParameterMap(PERIOD, periods, *span, None), ParameterMap(TURN, turns, *bounds[TURN], None)]
-    folder.mkdir(parents=True, exist_ok=True)
     files = write_maps(folder, maps, {"nacre": __version__, "target": task.fingerprint})
     changes: dict[str, Any] = {m.path: m.texture for m in maps}
     path, copied = write_recipe(folder, task.material, changes, {})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -22,10 +23,10 @@ from nacre.core.parallel import available_jobs, single_threaded_blas
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Tile, assess, blur_matrix, slopes
 from nacre.light import delta_e_2000, srgb_linear_to_xyz, xyz_to_lab
-from nacre.material.material import load
+from nacre.material.material import Material, load
 from nacre.measure.geometry import aspecular_pairs
-from nacre.optimise.checkpoint import Checkpointer, DesignFolder
-from nacre.optimise.evaluation import geometries_of, results_of
+from nacre.optimise.checkpoint import Checkpointer, SolvableFolder
+from nacre.optimise.evaluation import TargetResult, geometries_of, results_of
 from nacre.optimise.measurement import evaluation_wavelengths, simulate_measurement
 from nacre.optimise.problem import Budget, Changes, Result
 from nacre.optimise.relief.merit import (
@@ -41,19 +42,18 @@ from nacre.optimise.relief.merit import (
 from nacre.optimise.relief.refine import check_refinable
 from nacre.optimise.relief.search import HEIGHTS, ReliefSearch
 from nacre.optimise.relief.target import TargetSpec
-from nacre.optimise.relief.task import ReliefTask
+from nacre.optimise.relief.task import HEIGHT_FILE, ReliefTask
 from nacre.optimise.solutions import RECIPE, Design, DesignProgress, Solution, conclude
-from nacre.recipe.toml import dump_toml
 
 # reserved from the time limit for the final measurement and the report
 FINAL_SHARE, FINAL_MAX_S = 0.15, 3.0
 MIN_SEARCH_SHARE = 0.25  # relative to the time limit
-HEIGHT_FILE, PREVIEW, REPORT = "height.npy", "preview.png", "report.html"
+PREVIEW, REPORT = "preview.png", "report.html"
 FILES = [RECIPE, HEIGHT_FILE, PREVIEW]
 STATUS = {"interrupted": "interrupted", "time": "time limit"}  # otherwise done
 
 
-class ReliefFolder(DesignFolder):
+class ReliefFolder(SolvableFolder):
     """Relief design at work; its folder holds heights, recipe and preview from the first seconds on.
 
     Raises:
@@ -66,13 +66,12 @@ class ReliefFolder(DesignFolder):
     def __init__(
         self,
         task: ReliefTask,
-        folder: Path,
         checkpointer: Checkpointer,
         begun: float,
         progress: Callable[[DesignProgress], None] | None,
         jobs: int | None,
     ) -> None:
-        super().__init__(folder, checkpointer, begun, task.seconds, progress)
+        super().__init__(checkpointer, begun, task.seconds, progress, jobs)
         spec, self.task, self.workers = task.spec.search, task, jobs or available_jobs()
         coating = task.spec.coating.build(task.context) if spec.refine else None
         if coating is not None:
@@ -127,12 +126,17 @@ class ReliefFolder(DesignFolder):
 
         return conclude(self.folder, summary, [solution], write_page)
 
+    def evaluated(self, changes: Changes) -> Solution:
+        """Return heights with the colours that they reach."""
+        with tempfile.TemporaryDirectory() as place:
+            self.task.write_heights(Path(place), changes[HEIGHTS])
+            relief = load(Path(place) / RECIPE)
+        return Solution(None, relief, changes, _results(self.task, relief))
+
     def _write(self, heights_um: Array, rgb: Array, losses: Losses, upsampling: int) -> dict[str, Any]:
         """Write height.npy, recipe.toml and preview.png atomically; return their part of design.json."""
         task, problem, spec = self.task, self.task.problem, self.task.spec
-        with atomic_path(self.folder / HEIGHT_FILE) as temporary, temporary.open("wb") as stream:
-            np.save(stream, heights_um)
-        write_text(self.folder / RECIPE, _recipe_text(spec))
+        task.write_heights(self.folder, heights_um)
         write_preview(self.folder / PREVIEW, problem, rgb, losses)
         return {
             "loss_fixed": losses.fixed,
@@ -158,34 +162,16 @@ class ReliefFolder(DesignFolder):
         }
 
 
-def _recipe_text(spec: TargetSpec) -> str:
-    coating = spec.coating.model_dump(exclude_none=True, exclude_defaults=True)
-    data: dict[str, Any] = {
-        "family": "relief",
-        "heights": HEIGHT_FILE,
-        "periodic": True,
-        "feature_um": spec.feature_um,
-        "blur_um": spec.blur_um,
-        "coating": coating["name"] if set(coating) == {"name"} else coating,
-        "prefactor": spec.chosen_prefactor,
-        "coherence": spec.coherence.model_dump(exclude_none=True),
-    }
-    if spec.search.refine is not None:
-        del data["prefactor"]  # of scalar theory
-        data["model"] = {"optics": spec.search.refine}
-    return dump_toml(data)
-
-
 def _evaluation_seconds(task: ReliefTask) -> float:
     """Return the final evaluation time, measured with random heights; also compiles the kernels."""
-    if not task.colours:
+    if not task.targets:
         return 0.0
     spec = task.spec
     heights_nm = 1e3 * spec.height_max_um * np.random.default_rng(0).random((spec.features, spec.features))
     tile = Tile(heights_nm, 1e3 * spec.feature_um, 1e3 * spec.blur_um)
     relief = Relief(tile, spec.coherence.build(), spec.coating.build(task.context), spec.chosen_prefactor)
     start, compiled = time.monotonic(), seconds_compiled()
-    relief.values_at(*aspecular_pairs(geometries_of(task.colours)), relief.wavelengths_nm)
+    relief.values_at(*aspecular_pairs(geometries_of(task.targets)), relief.wavelengths_nm)
     return time.monotonic() - start - (seconds_compiled() - compiled)
 
 
@@ -194,15 +180,19 @@ def _evaluate(task: ReliefTask, recipe: Path, changes: Changes, losses: Losses) 
     relief = load(recipe)
     figures = {"loss_fixed": losses.fixed, "loss_free": losses.free}
     entries = [{"geometry": "directions", "lamp": None, "asked": each, **figures} for each in task.pictures]
-    results = []
-    if task.asked is not None and task.colours:
-        light = task.asked.light
-        grid = evaluation_wavelengths(relief, light.illuminants)
-        measured = simulate_measurement(relief, geometries_of(task.colours), grid, memory={})
-        results = results_of(measured, task.colours, light)
-        entries += [result.document(light.observer) for result in results]
+    results = _results(task, relief)
+    entries += [result.document(task.light.observer) for result in results]
     solution = Solution(recipe, relief, changes, results, {"files": FILES})
     return solution, {"recipe": str(recipe), "targets": entries, "yield": None, "files": FILES}
+
+
+def _results(task: ReliefTask, relief: Material) -> list[TargetResult]:
+    """Return the colours that a relief reaches at the target directions."""
+    if not task.targets:
+        return []
+    grid = evaluation_wavelengths(relief, task.light.illuminants)
+    measured = simulate_measurement(relief, geometries_of(task.targets), grid, memory={})
+    return results_of(measured, task.targets, task.light)
 
 
 PICTURE_PIXELS = 256  # picture side on the page

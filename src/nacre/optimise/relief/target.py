@@ -19,7 +19,7 @@ from nacre.core.files import plain, why_unreadable
 from nacre.families.relief.coherence import CoherenceSpec
 from nacre.families.relief.diffraction_orders import coating_reflectance, fresnel_reflectance
 from nacre.families.relief.plane_cut import CutGeometry
-from nacre.formats.calibration import find_calibration
+from nacre.formats.layouts import find_calibration
 from nacre.matter.indices.spec import IndexSpec
 from nacre.optimise.relief import pictures
 from nacre.optimise.relief.merit import GAMMA, ColourWeights, Problem, View, default_weights, published_weights

@@ -8,30 +8,34 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import RecipeError
-from nacre.core.files import read_text
+from nacre.core.files import atomic_path, output_folder, read_text, write_text
 from nacre.families.relief.diffraction_orders import coating_reflectance
 from nacre.families.relief.plane_cut import CutGeometry
 from nacre.families.relief.surface import largest_depth_nm
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, lab_to_xyz, white_xyz, xyz_to_srgb_linear
+from nacre.material.material import Material, load
+from nacre.optimise.evaluation import TargetResult
 from nacre.optimise.relief.merit import GAMMA, Problem, View, default_weights
 from nacre.optimise.relief.target import LARGEST_TILE_FEATURES, TargetSpec
-from nacre.optimise.spec import DesignSpec
+from nacre.optimise.solutions import RECIPE, Solution
+from nacre.optimise.spec import DesignSpec, LightSpec
 from nacre.optimise.targets import Target, read_targets
 from nacre.optimise.task import task_geometries
 from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, show_value, validate
-from nacre.recipe.toml import parse_toml
+from nacre.recipe.toml import dump_toml, parse_toml
 
 HEIGHTS, FEATURES = "heights", "features"
+HEIGHT_FILE = "height.npy"
 KNOWN_IN = {"tolerance": {HEIGHTS}, "limits": {"within_validity"}}  # keys of these tables that apply to relief heights
 PATCH_SINE, PATCH_COUNT = 0.01, 8  # half side and samples per side for the uniform view around a colour
 PICTURE_SHARE = 4  # ratio between picture and colour samples per side
@@ -48,14 +52,16 @@ class ReliefTask:
         context: target file context.
         problem: design problem.
         asked: the whole target of a file with `[[target]]`.
-        colours: target colours at directions.
+        targets: target colours at directions.
     """
 
     spec: TargetSpec
     context: RecipeContext
     problem: Problem
     asked: DesignSpec | None = None
-    colours: tuple[Target, ...] = ()
+    targets: tuple[Target, ...] = ()
+
+    image_kind: ClassVar[str] = ""
 
     @property
     def name(self) -> str:
@@ -71,6 +77,56 @@ class ReliefTask:
     def evaluations(self) -> float:
         """Limit of evaluations."""
         return np.inf if self.asked is None else self.asked.search.evaluations or np.inf
+
+    @property
+    def light(self) -> LightSpec:
+        """Lamps and observer of the colours."""
+        return LightSpec() if self.asked is None else self.asked.light
+
+    def with_targets(self, targets: tuple[Target, ...]) -> ReliefTask:
+        """Return the task with other colours at the same directions."""
+        pictures = self.problem.views[: len(self.problem.views) - len(self.targets)]
+        problem = _with_colours(replace(self.problem, views=pictures), self.spec, targets, self.light)
+        return replace(self, targets=targets, problem=problem)
+
+    def read(self, folder: Path, changes: Mapping[str, Any]) -> Material:
+        """Return the material of a solution in a folder."""
+        return load(folder / RECIPE)
+
+    def solution(
+        self, changes: dict[str, Any], results: list[TargetResult], facts: dict[str, Any], folder: Path | None
+    ) -> Solution:
+        """Return a solution, with its heights and recipe written to the folder, which a relief needs.
+
+        Raises:
+            NacreError: the folder cannot be written.
+        """
+        assert folder is not None  # checked before the search
+        with output_folder(folder):
+            self.write_heights(folder, changes[HEIGHTS])
+        recipe, facts = folder / RECIPE, {**facts, "files": [RECIPE, HEIGHT_FILE]}
+        return Solution(recipe, load(recipe), {}, results, facts)
+
+    def write_heights(self, folder: Path, heights_um: Array) -> None:
+        """Write height.npy and recipe.toml atomically."""
+        spec = self.spec
+        with atomic_path(folder / HEIGHT_FILE) as temporary, temporary.open("wb") as stream:
+            np.save(stream, heights_um)
+        coating = spec.coating.model_dump(exclude_none=True, exclude_defaults=True)
+        data: dict[str, Any] = {
+            "family": FAMILY,
+            "heights": HEIGHT_FILE,
+            "periodic": True,
+            "feature_um": spec.feature_um,
+            "blur_um": spec.blur_um,
+            "coating": coating["name"] if set(coating) == {"name"} else coating,
+            "prefactor": spec.chosen_prefactor,
+            "coherence": spec.coherence.model_dump(exclude_none=True),
+        }
+        if spec.search.refine is not None:
+            del data["prefactor"]  # of scalar theory
+            data["model"] = {"optics": spec.search.refine}
+        write_text(folder / RECIPE, dump_toml(data))
 
     def within_seconds(self, seconds: float) -> ReliefTask:
         """Return the task with another time limit."""
@@ -150,7 +206,8 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTask:
         place = places[0] if len(places) == 1 else "target[...].directions"
         raise RecipeError(str(error).replace(f"{source}: target.", f"{source}: {place}.")) from None
     if colours:
-        problem = _with_colours(problem, relief, colours, spec, bool(pictures))
+        without = problem if pictures else replace(problem, views=(), intensity_scale=np.pi)
+        problem = _with_colours(without, relief, colours, spec.light)
     return ReliefTask(relief, context, problem, spec, colours)
 
 
@@ -225,18 +282,17 @@ def _check_colour(target: Target) -> None:
         raise RecipeError(f"{target.key}: heights need a target colour; give colour, lab, lch, xyz or xyy")
 
 
-def _with_colours(
-    problem: Problem, relief: TargetSpec, colours: tuple[Target, ...], spec: DesignSpec, has_pictures: bool
-) -> Problem:
-    """Return the problem with a uniform view about each colour's directions."""
-    scale = problem.intensity_scale if has_pictures else np.pi  # display = (scale f)^(1/2.2); pi f = 1 is white
+def _with_colours(problem: Problem, relief: TargetSpec, colours: Sequence[Target], light: LightSpec) -> Problem:
+    """Return a problem of pictures, or none, with a uniform view about each colour's directions."""
+    scale = problem.intensity_scale  # display = (scale f)^(1/2.2); pi f = 1 is white
     assert scale is not None
-    count = max(max(v.target.shape[1] for v in problem.views) // PICTURE_SHARE, 4) if has_pictures else PATCH_COUNT
+    count = max((view.target.shape[1] for view in problem.views), default=0)
+    count = max(count // PICTURE_SHARE, 4) if problem.views else PATCH_COUNT
     weights = default_weights()
     reflectance = coating_reflectance(relief.coating.build().n_complex(weights.wavelengths_nm))
     offsets = np.linspace(-PATCH_SINE, PATCH_SINE, count)
-    white = white_xyz(spec.light.illuminants[0], spec.light.observer)
-    views = list(problem.views) if has_pictures else []
+    white = white_xyz(light.illuminants[0], light.observer)
+    views = list(problem.views)
     for target in colours:
         wi = direction(np.radians(target.geometry.theta_deg))
         wo = target.geometry.wo

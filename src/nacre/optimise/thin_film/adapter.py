@@ -244,30 +244,31 @@ def thin_film_search(target: DesignTask, seed: int) -> ThinFilmSearch | None:
 
 
 def thin_film_search_many(
-    target: DesignTask, targets: Sequence[DesignTask], which: Sequence[int], take: Callable[[int, dict[str, Any]], None]
+    tasks: Sequence[DesignTask], which: Sequence[int], take: Callable[[int, dict[str, Any]], None]
 ) -> bool:
     """Find the best changes for some of many tasks that differ only in their colours.
 
     Args:
-        targets: all.
-        which: target numbers that are sought.
+        which: task numbers that are sought.
         take: called with each number and its changes, from threads.
 
     Returns:
-        False, with nothing done, where the free numbers are not a stack's.
+        False, with nothing done, unless a stack is sought, without tolerances and whatever its number of layers.
 
     Raises:
-        RecipeError: as `film_search`.
+        RecipeError: as `thin_film_search`.
     """
-    one = thin_film_search(targets[0] if targets else target, target.spec.search.seed)
+    spec = tasks[0].spec
+    if spec.tolerance or spec.limits.max_layers is not None:
+        return False
+    one = thin_film_search(tasks[0], spec.search.seed)
     if one is None:
         return False
     if which:
-        merits = [one.merit_of(other.targets) for other in targets]
         many_stacks(
             one.problem,
-            merits,
-            target.spec.search.seed,
+            [one.merit_of(other.targets) for other in tasks],
+            spec.search.seed,
             which=which,
             on_progress=lambda number, solution: take(number, one.changes(solution)),
         )

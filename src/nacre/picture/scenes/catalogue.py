@@ -316,7 +316,7 @@ def _body() -> list[Part]:
         "paint": SUBJECT, "glass": "glass", "trim": "rubber", "lamps": "lamp", "tyres": "rubber", "rims": "chrome",
         "mirrors": SUBJECT, "seams": "matt-dark", "handles": "chrome", "plate": "plate",
     }  # fmt: skip
-    built = _shape("car", "car")
+    built = _shape("objects", "car")
     return [Part(built[name], material) for name, material in materials.items()]
 
 

@@ -39,12 +39,12 @@ from nacre.families.metasurface.ensemble.supercells import (
     translation_order,
     with_species,
 )
-from nacre.families.metasurface.monolayer import ensemble_ratio
+from nacre.families.metasurface.monolayer import structure as ensemble_ratio
 from nacre.families.metasurface.monolayer.arrangement import Pattern
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
-from nacre.families.metasurface.monolayer.ensemble_ratio import Block, Ratio, Sums, as_arrays, from_arrays
 from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer, Particle
 from nacre.families.metasurface.monolayer.qca import node_sines, node_weights
+from nacre.families.metasurface.monolayer.structure import Block, Ratio, Sums, as_arrays, from_arrays
 from nacre.families.metasurface.tmatrix.axisymmetric import multipole_index, truncated, with_negative_orders
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 from nacre.families.metasurface.tmatrix.substrate import Embedded

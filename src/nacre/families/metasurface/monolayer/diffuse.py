@@ -24,11 +24,10 @@ from numpy.typing import NDArray
 from nacre.bsdf.reciprocity import reciprocal_scaling, reciprocal_scaling_across
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.jit import compiled
-from nacre.families.metasurface.monolayer.ensemble_ratio import Ratio, RatioDirections
 from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer, sum_over
 from nacre.families.metasurface.monolayer.qca import NAME as LADDER
 from nacre.families.metasurface.monolayer.qca import node_sines, node_weights
-from nacre.families.metasurface.monolayer.structure import Structure
+from nacre.families.metasurface.monolayer.structure import Ratio, RatioDirections, Structure
 from nacre.families.metasurface.tmatrix.axisymmetric import full_order, multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, extinction
 from nacre.families.metasurface.tmatrix.special_functions import adjoint, mirrored

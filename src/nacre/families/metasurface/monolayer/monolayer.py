@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray
-from nacre.families.metasurface.monolayer.ensemble_ratio import Ratio
 from nacre.families.metasurface.monolayer.qca import (
     INTERACTION_ORDER,
     Modes,
@@ -23,7 +22,7 @@ from nacre.families.metasurface.monolayer.qca import (
 )
 from nacre.families.metasurface.monolayer.qca import NAME as LADDER
 from nacre.families.metasurface.monolayer.qca import ORDER as LADDER_ORDER
-from nacre.families.metasurface.monolayer.structure import Structure
+from nacre.families.metasurface.monolayer.structure import Ratio, Structure
 from nacre.families.metasurface.monolayer.translation_sums import NeighbourGeometry
 from nacre.families.metasurface.tmatrix.axisymmetric import (
     azimuthal_blocks,

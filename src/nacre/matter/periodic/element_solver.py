@@ -1,0 +1,278 @@
+"""Orders of closed smooth walls in two periods, metal included, by elements with curved sides.
+
+With e = E_t and f = (H_y, -H_x) in edge functions, the mass M, the gradient G, the curl C, and the mass N of E_z
+weighted by the permittivity, the fields in a layer obey
+
+    de/dz = i P f,  P = M^-1 - G N^-1 G*,
+    df/dz = i Q e,  Q = M_epsilon - C* C.
+
+Without loss P and Q are Hermitian, so that energy and reciprocity hold at any size. The elements carry the walls
+exactly and are graded towards them, where the rims are singular. In homogeneous media the discrete curls and
+gradients separate, since C G = 0: both have modes that depend on neither wavelength nor index, and serve as plane
+waves in every medium. The orders that propagate replace the lowest of them, so that Rayleigh anomalies are exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+
+from nacre.matter.periodic.crossed_solver import Answer, joined_answers
+from nacre.matter.periodic.element_mesh import ElementMesh, Elements, Oval, edge_count, element_mesh, side_distance
+from nacre.matter.periodic.lamellar_solver import GRAZING, is_patterned
+from nacre.matter.periodic.scattering_matrix import Modes, Slab, outgoing_root, respond, scatter, slab
+from nacre.matter.periodic.structure import (
+    Cell,
+    OrderSolution,
+    PatternLayer,
+    PeriodicStack,
+    Rectangle,
+    Shape,
+    check_unknowns,
+    incident_wave,
+    propagating,
+)
+from nacre.matter.periodic.types import Array
+
+# errors at a rim fall by 4 with each end of thin blocks
+ELEMENT_STEPS: tuple[Elements, ...] = (
+    (4, 3, (0.15, 0.015, 0.0015)), (5, 3, (0.15, 0.0225, 0.0034, 0.0005)), (6, 4, (0.15, 0.0225, 0.0034, 0.0005)),
+)  # fmt: skip
+SEVERAL_WALLS: tuple[Elements, ...] = (
+    (4, 3, (0.15, 0.01)), (5, 3, (0.15, 0.015, 0.0015)), (6, 4, (0.15, 0.01)),
+)  # fmt: skip
+BEYOND = 1.3  # orders with a wave number up to this times the largest that propagates are exact
+MOST_WALLS = 2
+GAP = 1e-2  # least distance of walls from each other and from the cell's sides, over the radius
+
+
+def has_curved_metal(stack: PeriodicStack) -> bool:
+    """Whether elements serve for a structure: nested ovals about one centre, some of metal."""
+    patterned = [layer for layer in stack.layers if is_patterned(layer)]
+    least = min(
+        (complex(e).real for layer in patterned for e in (layer.epsilon, *(e for _, e in layer.shapes))), default=0.0
+    )
+    return least < 0.0 and stack.cell.period_y is not None and bool(ovals(stack))
+
+
+def ovals(stack: PeriodicStack) -> tuple[Oval, ...]:
+    """Return a structure's walls, innermost first; empty if they are not nested ovals about one centre."""
+    found: set[Oval] = set()
+    for layer in stack.layers:
+        for shape, _ in layer.shapes if is_patterned(layer) else ():
+            walls = _ovals_of(shape)
+            if not walls:
+                return ()
+            found |= set(walls)
+    nested = sorted(found, key=lambda wall: wall.a * wall.b)
+    angles = np.linspace(-np.pi, np.pi, 181)
+    if not nested or len(nested) > MOST_WALLS or len({(wall.x, wall.y) for wall in nested}) > 1:
+        return ()
+    radii = [wall.radius(angles) for wall in nested]
+    radii.append(side_distance(stack.cell, angles))
+    is_nested = all(np.all(b - a > GAP * b.min()) for a, b in zip(radii, radii[1:], strict=False))
+    return tuple(nested) if is_nested else ()
+
+
+def _ovals_of(shape: Shape) -> tuple[Oval, ...]:
+    """Return the walls of a disc, an ellipse or a ring."""
+    if isinstance(shape, Rectangle) or not isinstance(shape.key[0], str):
+        return ()
+    kind, *rest = shape.key
+    numbers = [float(v) for v in rest if isinstance(v, int | float)]
+    if len(numbers) < len(rest):
+        return ()
+    if kind == "disc" and len(rest) == 3:
+        x, y, radius = numbers
+        return (Oval(x, y, radius, radius),)
+    if kind == "ring" and len(rest) == 4:
+        x, y, outer, inner = numbers
+        return Oval(x, y, inner, inner), Oval(x, y, outer, outer)
+    if kind == "ellipse" and len(rest) == 5:
+        x, y, width, height, turn = numbers
+        return (Oval(x, y, 0.5 * width, 0.5 * height, turn),)
+    return ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Basis:
+    """Discrete plane waves of one Bloch phase: s and p of the exact orders, then the other modes.
+
+    Attributes:
+        numbers: `[order, 2]`, the exact orders.
+        edge, node: joints of the mesh.
+        vectors: `[edge function, mode]`, orthonormal.
+        gradient: `[mode, continuous function]`.
+        curls: `[mode, mode]` of the curl times the curl, in 1/nm^2.
+        squared: `[mode]`, squared wave numbers in 1/nm^2.
+        is_p: `[mode]`.
+        axes: `[order, 2]`, direction of the transverse wave vector.
+    """
+
+    mesh: ElementMesh
+    numbers: Array
+    edge: scipy.sparse.csr_matrix
+    node: scipy.sparse.csr_matrix
+    vectors: Array
+    gradient: Array
+    curls: Array
+    squared: Array
+    is_p: Array
+    axes: Array
+
+    def modes(self, epsilon: complex, k0: float, held: tuple[Array, float] | None = None) -> Modes:
+        """Return the modes of a homogeneous medium.
+
+        Args:
+            held: numbers of orders that have a constant admittance instead, and its value.
+        """
+        rest = epsilon - self.squared / k0**2
+        gamma = outgoing_root(np.where(np.abs(rest) < GRAZING, GRAZING, rest))
+        admittance = np.where(self.is_p, epsilon / gamma, gamma)
+        if held is not None:
+            admittance[held[0]] = admittance[len(self.numbers) + held[0]] = held[1]
+        y = admittance[:, None]
+        return Modes(gamma, lambda e: e, lambda h: h / y, lambda e: e, lambda e: y * e)
+
+    def channel(self, order: int) -> Array:
+        """Return E_x and E_y of an exact order `[mode, 2]`."""
+        t_x, t_y = self.axes[order]
+        found = np.zeros((len(self.squared), 2))
+        found[order] = -t_y, t_x
+        found[len(self.numbers) + order] = t_x, t_y
+        return found
+
+
+@lru_cache(maxsize=2)
+def _basis(
+    cell: Cell, walls: tuple[Oval, ...], elements: Elements, wave: tuple[float, float],
+    numbers: tuple[tuple[int, int], ...],
+) -> _Basis:  # fmt: skip
+    mesh = element_mesh(cell, walls, elements)
+    first, orders = np.array(wave), np.array(numbers)
+    edge, node = mesh.joints(first)
+    assert cell.period_y is not None
+    area = cell.period_x * cell.period_y * np.sin(cell.angle_rad)
+    vectors = cell.wave_vectors(orders) + first
+    length = np.hypot(*vectors.T)
+    is_normal = length < 1e-12 * np.sqrt(area)
+    axes = np.where(is_normal[:, None], [1.0, 0.0], vectors / np.where(is_normal, 1.0, length)[:, None])
+    x, y = (edge.conj().T @ part / np.sqrt(area) for part in mesh.plane_waves(first, orders))
+    phase = np.exp(1j * (vectors @ np.array([walls[0].x, walls[0].y])))
+    x, y = x * phase, y * phase
+    exact = np.hstack([axes[:, 1] * -x + axes[:, 0] * y, axes[:, 0] * x + axes[:, 1] * y])
+    whole = sum(mesh.masses)
+    low = np.linalg.cholesky(_folded(whole, edge).toarray())
+
+    def solved(m: Array) -> Array:
+        return np.asarray(scipy.linalg.solve_triangular(low, m, lower=True, check_finite=False))
+
+    gradient = solved((edge.conj().T @ (whole @ (mesh.gradient @ node))).toarray())
+    curls = solved(solved(_folded(mesh.rotation, edge).toarray()).conj().T)
+    heights = np.linalg.cholesky(_folded(sum(mesh.heights), node).toarray())
+    steps = scipy.linalg.solve_triangular(heights, gradient.conj().T, lower=True, check_finite=False)
+    difference = curls - steps.conj().T @ steps
+    # the nearest orthonormal vectors to the exact orders, and their complement
+    left, _, right = np.linalg.svd(solved(exact), full_matrices=False)
+    exact = left @ right
+    rest = scipy.linalg.qr(exact)[0][:, exact.shape[1] :]
+    values, own = np.linalg.eigh(rest.conj().T @ difference @ rest)
+    every = np.hstack([exact, rest @ own])
+    return _Basis(
+        mesh, orders, edge, node,
+        scipy.linalg.solve_triangular(low.conj().T, every, check_finite=False),
+        every.conj().T @ gradient, every.conj().T @ curls @ every,
+        np.concatenate([length**2, length**2, np.abs(values)]),
+        np.concatenate([np.zeros(len(orders), dtype=bool), np.ones(len(orders), dtype=bool), values < 0.0]), axes,
+    )  # fmt: skip
+
+
+def _folded(matrix: scipy.sparse.csr_matrix, joint: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
+    return joint.conj().T @ (matrix @ joint)
+
+
+def _layers(stack: PeriodicStack, walls: tuple[Oval, ...], basis: _Basis, k0: float) -> list[Modes | Slab]:
+    found: list[Modes | Slab] = []
+    one = np.eye(len(basis.squared))
+    for layer in stack.layers:
+        if not is_patterned(layer):
+            found.append(basis.modes(layer.epsilon, k0))
+            continue
+        values = _values(layer, walls)
+        mass, height = (
+            _folded(sum(v * part for v, part in zip(values, parts, strict=True)), joint)
+            for parts, joint in ((basis.mesh.masses, basis.edge), (basis.mesh.heights, basis.node))
+        )
+        q = basis.vectors.conj().T @ (mass @ basis.vectors) - basis.curls / k0**2
+        p = one - basis.gradient @ np.linalg.solve(height.toarray() * k0**2, basis.gradient.conj().T)
+        found.append(slab(p, q, layer.thickness_nm * k0))
+    return found
+
+
+def _made(
+    stack: PeriodicStack, k0: float, transverse: Array, step: Elements, least: Array | None = None
+) -> tuple[_Basis, list[Modes | Slab]]:
+    """Return the functions, with the orders `least` among them, and the layers."""
+    cell, walls = stack.cell, ovals(stack)
+    assert cell.period_y is not None
+    if len(walls) > 1 and step in ELEMENT_STEPS:
+        step = SEVERAL_WALLS[ELEMENT_STEPS.index(step)]
+    turns = 0.5 * max(cell.period_x, cell.period_y) * stack.reach * k0
+    more = max(int(np.ceil(0.5 * turns)) - 2, 0)
+    elements = step[0] + more, step[1] + more, step[2]
+    check_unknowns(edge_count(cell, walls, elements), k0)
+    numbers, _ = propagating(stack, k0, transverse, BEYOND * stack.reach)
+    if least is not None:
+        numbers = np.unique(np.concatenate([numbers, least]), axis=0)
+    wave = float(transverse[0] * k0), float(transverse[1] * k0)
+    basis = _basis(cell, walls, elements, wave, tuple((int(m), int(n)) for m, n in numbers))
+    return basis, _layers(stack, walls, basis, k0)
+
+
+def solve_ovals(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, step: Elements) -> OrderSolution:
+    """Return the orders of layers with nested ovals about one centre."""
+    transverse, _, _ = incident_wave(stack, theta_rad, phi_rad)
+    basis, layers = _made(stack, k0, transverse, step)
+    places = {(int(m), int(n)): k for k, (m, n) in enumerate(basis.numbers)}
+    fields = scatter(
+        basis.modes(stack.cover**2, k0), layers, [layer.thickness_nm * k0 for layer in stack.layers],
+        basis.modes(stack.substrate**2, k0), basis.channel(places[0, 0]).astype(complex),
+    )  # fmt: skip
+    sides = []
+    for e, index in zip(fields, (stack.cover, stack.substrate.real if stack.is_clear else 0.0), strict=True):
+        numbers, _ = propagating(stack, k0, transverse, index)
+        sides.append({(int(m), int(n)): basis.channel(places[int(m), int(n)]).T @ e for m, n in numbers})
+    answer = Answer(sides[0], sides[1], len(basis.squared))
+    return joined_answers(stack, k0, theta_rad, phi_rad, [answer], "ovals")
+
+
+def oval_response(
+    stack: PeriodicStack, k0: float, transverse: Array, step: Elements, upper: Array, lower: Array
+) -> Array:  # fmt: skip
+    """Return the response (`order_responses`) of layers with nested ovals about one centre."""
+    basis, layers = _made(stack, k0, transverse, step, np.concatenate([upper, lower]))
+    places = {(int(m), int(n)): k for k, (m, n) in enumerate(basis.numbers)}
+    outside, channels = [], []
+    for numbers, index in zip((upper, lower), (stack.cover, stack.substrate), strict=True):
+        at = np.array([places[int(m), int(n)] for m, n in numbers], dtype=int)
+        both = np.array([basis.channel(k) for k in at]).reshape(len(at), len(basis.squared), 2)
+        channels.append(np.concatenate([both[:, :, 0], both[:, :, 1]]).T.astype(complex))
+        outside.append(basis.modes(index**2, k0, (at, index.real)))
+    depths = [layer.thickness_nm * k0 for layer in stack.layers]
+    indices = stack.cover, stack.substrate.real
+    return respond(outside[0], layers, depths, outside[1], (channels[0], channels[1]), indices)
+
+
+def _values(layer: PatternLayer, walls: tuple[Oval, ...]) -> list[complex]:
+    """Return the permittivity of each region, from the innermost."""
+    radii = [float(wall.radius(np.zeros(1))[0]) for wall in walls]
+    found = []
+    for inner, outer in zip([0.0, *radii], [*radii, radii[-1] * (1.0 + GAP)], strict=True):
+        x, y = np.array([walls[0].x + 0.5 * (inner + outer)]), np.array([walls[0].y])
+        inside = [e for shape, e in layer.shapes if not isinstance(shape, Rectangle) and shape.distance(x, y)[0] < 0.0]
+        found.append(inside[-1] if inside else layer.epsilon)
+    return found

@@ -1,0 +1,461 @@
+"""Orders of sloping lines and of deep profiles by elements across the plane, conical incidence included.
+
+E_y and H_y are continuous across every face of a structure that does not vary along y. With k^2 = epsilon - k_y^2 and
+lengths in units of 1 / k0 they obey, for all test functions v,
+
+    int (epsilon / k^2) grad E . grad v + (k_y / k^2) (H_x v_z - H_z v_x) - epsilon E v = sum of int v f_E,
+    int (1 / k^2) grad H . grad v - (k_y / k^2) (E_x v_z - E_z v_x) - H v = sum of int v f_H,
+
+with the fluxes f = (-i H_x, i E_x) that leave at the flat upper and lower ends, where plane waves continue the fields
+exactly, through uniform layers also. Elements follow the sloping walls or the profile, so neither steps nor modes of
+large dynamic range occur. They are graded towards corners, and their polynomial degree is the size (hp elements;
+Schwab, p- and hp-Finite Element Methods, 1998). Without loss the matrix is Hermitian but for the ends, so energy is
+conserved at any size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+
+from nacre.core.quadrature import gauss_legendre
+from nacre.matter.periodic.lamellar_solver import values_at
+from nacre.matter.periodic.line_basis import GRADING, assemble, gauss_values, plane_waves
+from nacre.matter.periodic.scattering_matrix import outgoing_root
+from nacre.matter.periodic.structure import (
+    NotConvergedError,
+    OrderSet,
+    OrderSolution,
+    PatternLayer,
+    PeriodicStack,
+    Rectangle,
+    WallsMeetError,
+    empty_orders,
+    incident_wave,
+    propagating,
+)
+from nacre.matter.periodic.types import Array
+
+BUFFER = 0.15  # of the period: distance of the ends from the structure, over which evanescent waves lose 1 / e often
+DECAY = 20.0  # of evanescent plane waves that are left out, over the buffer, in natural logarithms
+PHASE = 0.7  # largest phase (or decay) across an element, over its degree
+SKINS = 9.0  # penetration depths below a metal surface with elements of their own
+MAX_ELEMENTS = 3000
+SIZES = ((4, 1), (6, 2), (8, 3), (10, 4), (12, 5))  # degree and grading layers
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Elements `[row, column]` from the bottom up, in units of 1 / k0.
+
+    Attributes:
+        edges: `[column + 1]`, of the lowest and of the highest line, which are flat.
+        epsilon: `[row, column]`.
+        metric: `[4, row, column, u, w]`: x_u, x_w, z_u, z_w at the quadrature nodes.
+        below, above: thickness and epsilon of uniform layers outside, from the grid outward, half spaces last.
+        low, high: heights of the lower end over the structure's bottom and of the upper end over its top.
+    """
+
+    edges: tuple[Array, Array]
+    epsilon: Array
+    metric: Array
+    below: list[tuple[float, complex]]
+    above: list[tuple[float, complex]]
+    low: float
+    high: float
+
+
+def solve_elements(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, size: int) -> OrderSolution:
+    """Return the orders of sloping lines (`stack.tilted`) or of a profile.
+
+    Raises:
+        NotConvergedError: the elements are too many.
+        WallsMeetError: walls meet.
+    """
+    degree, layers = SIZES[size]
+    transverse, k_z, _ = incident_wave(stack, theta_rad, phi_rad)
+    alpha_0, k_y = float(transverse[0]), float(transverse[1])
+    grid = (_profile_grid if stack.profile is not None else _wall_grid)(stack, k0, degree, layers)
+    period = stack.cell.period_x * k0
+    half = int(np.ceil((stack.reach + DECAY / (BUFFER * period)) * period / (2.0 * np.pi))) + 1
+    numbers = np.arange(-half, half + 1) - int(np.round(alpha_0 * period / (2.0 * np.pi)))
+    alpha = alpha_0 + 2.0 * np.pi / period * numbers
+    phase = complex(np.exp(1j * alpha_0 * period))
+    rows, columns = grid.epsilon.shape
+    zero = int(np.flatnonzero(numbers == 0)[0])
+    cosine, sine = np.array([np.cos(phi_rad)]), np.array([np.sin(phi_rad)])
+    light = np.zeros((len(alpha), 2, 2), dtype=complex)
+    light[zero] = axial(cosine, sine, -k_z, stack.cover)[0]
+    upper, lower = _Side(grid.above, alpha, k_y, light), _Side(grid.below, alpha, -k_y, 0.0 * light)
+    matrix, places = _system(grid, degree, k_y, phase)
+    joints = []
+    for edges, at in ((grid.edges[1], rows), (grid.edges[0], 0)):
+        joint = plane_waves(assemble(period, edges, (degree,) * columns), alpha, phase)[0]
+        joints.append((joint, places[at]))
+    source = np.zeros((matrix.shape[0], 2), dtype=complex)
+    count = matrix.shape[0] // 2
+    for (joint, at), side in zip(joints, (upper, lower), strict=True):
+        both = np.concatenate([at, count + at])
+        block = np.block([[(joint * side.y[:, i, j]) @ joint.conj().T for j in (0, 1)] for i in (0, 1)])
+        matrix = matrix - scipy.sparse.csc_matrix(
+            (block.ravel(), (np.repeat(both, len(both)), np.tile(both, len(both)))), matrix.shape
+        )
+        source[both] += np.sqrt(period) * np.concatenate([joint @ side.s[:, 0], joint @ side.s[:, 1]])
+    found = scipy.sparse.linalg.splu(
+        matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True}
+    ).solve(source)  # a twentieth of the time of the default
+    ends = []
+    for (joint, at), side in zip(joints, (upper, lower), strict=True):
+        e = np.stack([joint.conj().T @ found[at], joint.conj().T @ found[count + at]], axis=1) / np.sqrt(period)
+        ends.append(side.outward(e))
+
+    def side_of(fields: Array, index: float, sign: float, shift: float) -> OrderSet:
+        orders, waves = propagating(stack, k0, transverse, index)
+        beta = np.sqrt(index**2 - np.sum(waves**2, axis=1))
+        length = np.hypot(waves[:, 0], waves[:, 1])
+        safe = np.where(length < 1e-12, 1.0, length)
+        t_x, t_y = (np.where(length < 1e-12, c, w / safe) for c, w in zip((cosine, sine), waves.T, strict=True))
+        at = orders[:, 0] - numbers[0]
+        jones = np.linalg.solve(axial(t_x, t_y, sign * beta, index), fields[at])
+        jones = jones * np.exp(-1j * beta * shift)[:, None, None]
+        efficiency = np.sum(np.abs(jones) ** 2, axis=1) * (beta / k_z)[:, None]
+        return OrderSet(orders, np.column_stack([waves, sign * beta]), jones, efficiency)
+
+    entry = np.exp(-1j * k_z * grid.high)  # of the incident wave, whose phase is 0 at the structure's top
+    reflected = side_of(entry * (ends[0] - light), stack.cover, 1.0, grid.high)
+    transmitted = empty_orders()
+    if stack.is_clear:
+        transmitted = side_of(entry * ends[1], stack.substrate.real, -1.0, grid.low)
+    return OrderSolution(reflected, transmitted, np.inf, count, "elements")
+
+
+class _Side:
+    """Plane waves outside one end: f = y e + s there, through uniform layers; k_y changes sign with z."""
+
+    def __init__(self, media: list[tuple[float, complex]], alpha: Array, k_y: float, light: Array) -> None:
+        one = np.eye(2)
+        self.steps: list[tuple[Array, Array, Array, Array]] = []
+        self.y, self.s = np.zeros((len(alpha), 2, 2), dtype=complex), light
+        for k, (thickness, epsilon) in enumerate(reversed(media)):
+            squared = epsilon - alpha**2 - k_y**2
+            gamma = outgoing_root(np.where(np.abs(squared) < 1e-13, 1e-13, squared))
+            away, back = (_flux(epsilon, alpha, k_y, g) for g in (gamma, -gamma))
+            if k == 0:
+                self.y, self.s = away, (back - away) @ light
+                continue
+            decay = np.exp(1j * gamma * thickness)[:, None, None]
+            found = np.linalg.solve(back - self.y, np.concatenate([self.y - away, self.s], axis=2))
+            share, far = decay * found[:, :, :2], found[:, :, 2:]  # of e at the outer face
+            r, given = decay * share, decay * far
+            self.steps.append((one + r, given, decay * one + share, far))
+            self.y = np.linalg.solve((one + r).swapaxes(1, 2), (away + back @ r).swapaxes(1, 2)).swapaxes(1, 2)
+            self.s = back @ given - self.y @ given
+
+    def outward(self, e: Array) -> Array:
+        """Return e at the innermost face of the half space."""
+        for total, given, outer, far in reversed(self.steps):
+            e = outer @ np.linalg.solve(total, e - given) + far
+        return e
+
+
+def _flux(epsilon: complex, alpha: Array, k_y: float, gamma: Array) -> Array:
+    """Return f / e `[wave, 2, 2]` of plane waves."""
+    cross = np.full(len(alpha), k_y) * alpha
+    rows = [[epsilon * gamma, cross], [-cross, gamma]]
+    return np.asarray(np.moveaxis(np.array(rows, dtype=complex), -1, 0) * (1j / (epsilon - k_y**2)))
+
+
+def axial(t_x: Array, t_y: Array, k_z: Array | float, index: float) -> Array:
+    """Return the matrices `[order, 2, 2]` from (s, p) to (E_y, H_y)."""
+    k_z = np.broadcast_to(k_z, t_x.shape)
+    rows = [[t_x, t_y * k_z / index], [-t_y * k_z, index * t_x]]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def _nodes(degree: int) -> tuple[Array, Array, Array, Array]:
+    """Return nodes and weights on [0, 1], functions and their derivatives `[local, node]`."""
+    count = degree + 3
+    x, w = gauss_legendre(count)
+    values, legendre = gauss_values(degree, count)
+    slopes = np.zeros((degree + 1, count))
+    slopes[0], slopes[1], slopes[2:] = -1.0, 1.0, legendre[1:]
+    return 0.5 * (x + 1.0), 0.5 * w, values, slopes
+
+
+def _system(grid: Grid, degree: int, k_y: float, phase: complex) -> tuple[scipy.sparse.csc_matrix, list[Array]]:
+    """Return the matrix over E and then H, without the elements' inner functions, and the numbers on flat lines.
+
+    Returns:
+        matrix, and for each line between rows the numbers of its functions, corners first.
+    """
+    rows, columns = grid.epsilon.shape
+    count, order = rows * columns, degree + 1
+    _, w, f, d = _nodes(degree)
+    weight = np.outer(w, w).ravel()
+    plain, along, up = (
+        np.einsum("ka,lb->klab", a, b).reshape(order**2, -1) for a, b in ((f, f), (d, f), (f, d))
+    )  # fmt: skip
+    x_u, x_w, z_u, z_w = grid.metric.reshape(4, count, -1)
+    area = x_u * z_w - x_w * z_u
+    uu, ww, uw = (z_w**2 + x_w**2) / area, (z_u**2 + x_u**2) / area, -(z_w * z_u + x_w * x_u) / area
+    first, second = along * weight, up * weight
+    stiffness = (first * uu[:, None] + second * uw[:, None]) @ along.T
+    stiffness += (first * uw[:, None] + second * ww[:, None]) @ up.T
+    mass = (plain * (weight * area[:, None])) @ plain.T
+    crossed = second @ along.T - first @ up.T  # test function first
+    epsilon = grid.epsilon.reshape(-1, 1, 1)
+    square = epsilon - k_y**2
+    mixed = (k_y / square) * crossed
+    k, m = np.divmod(np.arange(order**2), order)
+    inner = (k > 1) & (m > 1)
+    parts = [epsilon / square * stiffness - epsilon * mass, stiffness / square - mass]
+    numbers, turned, places = _numbering(rows, columns, degree, k[~inner], m[~inner])
+    total = numbers.max() + 1
+    if k_y:
+        parts = [np.concatenate([np.concatenate([parts[0], mixed], 2), np.concatenate([-mixed, parts[1]], 2)], 1)]
+        inner, turned = np.tile(inner, 2), np.tile(turned, 2)
+        members = [np.concatenate([numbers, total + numbers], axis=1)]
+    else:
+        members = [numbers, total + numbers]
+    factor = np.where(turned, phase, 1.0)
+    values, at_row, at_column = [], [], []
+    for part, member in zip(parts, members, strict=True):
+        outer, hidden = np.flatnonzero(~inner), np.flatnonzero(inner)
+        small = part[:, outer[:, None], outer]
+        small = small - part[:, outer[:, None], hidden] @ np.linalg.solve(
+            part[:, hidden[:, None], hidden], part[:, hidden[:, None], outer]
+        )
+        small = factor.conj()[:, :, None] * small * factor[:, None]
+        values.append(small.ravel())
+        at_row.append(np.repeat(member, member.shape[1], axis=1).ravel())
+        at_column.append(np.tile(member, (1, member.shape[1])).ravel())
+    matrix = scipy.sparse.csc_matrix(
+        (np.concatenate(values), (np.concatenate(at_row), np.concatenate(at_column))), (2 * total, 2 * total)
+    )
+    return matrix, places
+
+
+def _numbering(rows: int, columns: int, degree: int, k: Array, m: Array) -> tuple[Array, Array, list[Array]]:
+    """Return the numbers `[element, local]`, whether each lies a period further, and the numbers on each line."""
+    bubbles = degree - 1
+    stride = columns * (1 + 2 * bubbles)  # corners, lines and walls of a row
+    row, column = np.divmod(np.arange(rows * columns)[:, None], columns)
+    right = column + (k == 1)
+    line = (row + (m == 1)) * stride
+    corner = line + right % columns
+    flat = line + columns + column * bubbles + (k - 2)
+    wall = row * stride + columns * (1 + bubbles) + (right % columns) * bubbles + (m - 2)
+    numbers = np.where((k < 2) & (m < 2), corner, np.where(k > 1, flat, wall))
+    places = [j * stride + np.arange(columns * (1 + bubbles)) for j in range(rows + 1)]
+    return numbers, np.broadcast_to((k == 1) & (right == columns), numbers.shape), places
+
+
+def _graded(length: float, layers: int, ends: tuple[bool, bool], longest: float, least: float = 0.0) -> Array:
+    """Return ascending places from 0 to `length`, graded towards the chosen ends; no interval exceeds `longest`."""
+    while layers and length * GRADING**layers < least:
+        layers -= 1
+    steps = length * 0.5 * GRADING ** np.arange(layers, 0, -1)
+    inner = [np.zeros(1), np.full(1, length)]
+    inner += [steps] * ends[0] + [length - steps] * ends[1]
+    edges = np.sort(np.concatenate(inner))
+    pieces = [
+        np.linspace(a, b, int(np.ceil((b - a) / longest - 1e-9)) + 1)[:-1]
+        for a, b in zip(edges[:-1], edges[1:], strict=True)
+    ]
+    return np.append(np.concatenate(pieces), length)
+
+
+def _checked(rows: int, columns: int, k0: float) -> None:
+    if rows * columns > MAX_ELEMENTS:
+        raise NotConvergedError(
+            f"orders at {2.0 * np.pi / k0:g} nm need {rows * columns} elements; allowed: at most {MAX_ELEMENTS}, by a "
+            "smaller period or depth, or a longer wavelength"
+        )
+
+
+def wall_lines(tilted: Sequence[tuple[PatternLayer, tuple[float, ...]]], period: float) -> Array:
+    """Return the places of all walls at each face between layers, `[face, line]`, ascending; faces from the top down.
+
+    A wall goes on through other layers at a fixed place between their walls.
+
+    Args:
+        tilted: layers with the shapes at half the height, and how much narrower each shape is at the top, per side.
+
+    Raises:
+        WallsMeetError: walls meet, within a layer or only at one of its faces.
+    """
+    own = []
+    for layer, insets in tilted:
+        boxes = [(s, i) for (s, _), i in zip(layer.shapes, insets, strict=True) if isinstance(s, Rectangle)]
+        top = np.array([x for s, i in boxes for x in (s.x_0 + i, s.x_1 - i)])
+        bottom = np.array([x for s, i in boxes for x in (s.x_0 - i, s.x_1 + i)])
+        rank = np.argsort(top)
+        for walls in (top[rank], bottom[rank]):
+            if np.any(np.diff(walls, append=walls[:1] + period) <= 0.0):
+                raise WallsMeetError("sloping walls meet")
+        own.append((top[rank], bottom[rank]))
+    lines: list[Array] = []
+    for first, (top, bottom) in enumerate(own):
+        for pair in zip(top, bottom, strict=True):
+            found = np.zeros(len(own) + 1)
+            found[first : first + 2] = pair
+            for k in range(first - 1, -1, -1):
+                found[k] = _carried(found[k + 1], own[k][1], own[k][0], period)
+            for k in range(first + 1, len(own)):
+                found[k + 1] = _carried(found[k], own[k][0], own[k][1], period)
+            found -= np.floor((found[0] - lines[0][0]) / period) * period if lines else 0.0
+            if all(
+                np.abs((found - line + 0.5 * period) % period - 0.5 * period).max() > 1e-9 * period for line in lines
+            ):
+                lines.append(found)
+    placed = np.array(sorted(lines, key=lambda line: tuple(line))).T
+    if np.any(np.diff(placed, append=placed[:, :1] + period, axis=1) <= 1e-9 * period):
+        raise WallsMeetError("sloping walls meet")
+    return placed
+
+
+def _carried(x: float, start: Array, end: Array, period: float) -> float:
+    """Return the place at the other face of a layer whose walls lie at `start` and at `end`."""
+    if not len(start):
+        return x
+    turns = np.floor((x - start[0]) / period) * period
+    return float(np.interp(x - turns, np.append(start, start[0] + period), np.append(end, end[0] + period)) + turns)
+
+
+def _wall_grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> Grid:
+    assert stack.tilted is not None
+    period = stack.cell.period_x
+    tilted = [each for each in stack.tilted if each[0].thickness_nm > 0.0]
+    ends = [k for k, (layer, _) in enumerate(tilted) if layer.shapes]
+    if not ends:
+        raise WallsMeetError("layers of lines have no thickness")
+    first, last = ends[0], ends[-1] + 1
+    placed = wall_lines(tilted[first:last], period) * k0
+    outside = [(layer.thickness_nm * k0, layer.epsilon) for layer, _ in tilted]
+    buffer, period = BUFFER * period * k0, period * k0
+    above = [*outside[:first][::-1], (np.inf, stack.cover**2 + 0j)]
+    below = [*outside[last:], (np.inf, stack.substrate**2)]
+    inner, middle = tilted[first:last], 0.5 * (placed[1:] + placed[:-1])
+    centers = 0.5 * (middle + np.append(middle[:, 1:], middle[:, :1] + period, axis=1)) / k0
+    values = [values_at(layer, x, period / k0) for (layer, _), x in zip(inner, centers, strict=True)]
+    index = max([stack.reach, *(float(np.sqrt(np.asarray(v, dtype=complex)).real.max()) for v in values)])
+    width = np.diff(placed, append=placed[:, :1] + period, axis=1)
+    least = 0.25 * GRADING**layers * period  # of elements at the ends of a graded region, but for a factor of 2
+    fractions = [
+        _graded(1.0, layers, (True, True), PHASE * degree / (index * w.max()), least / w.max()) for w in width.T
+    ]
+    line = np.concatenate(
+        [placed[:, [c]] + width[:, [c]] * f[:-1] for c, f in enumerate(fractions)] + [placed[:, :1] + period], axis=1
+    )
+    region = np.repeat(np.arange(len(fractions)), [len(f) - 1 for f in fractions])
+    rows: list[tuple[float, Array, Array, Array]] = []  # from the top down: height, upper and lower places, epsilon
+
+    def put(length: float, epsilon: Array, graded: tuple[bool, bool], upper: Array, lower: Array) -> None:
+        root = np.sqrt(epsilon.astype(complex))
+        longest = PHASE * degree / max(float(np.abs(root).max()), index)
+        at = _graded(length, layers, graded, longest, least) / length
+        for a, b in zip(at[:-1], at[1:], strict=True):
+            rows.append(((b - a) * length, upper + a * (lower - upper), upper + b * (lower - upper), epsilon[region]))
+
+    def outer(
+        media: list[tuple[float, complex]], at: Array, is_above: bool
+    ) -> tuple[list[tuple[float, complex]], float]:
+        """Add the layers within the buffer; return the rest, and how far the buffer reaches into the half space."""
+        left, taken = buffer, 0
+        parts: list[tuple[float, complex, tuple[bool, bool]]] = []
+        rest = list(media)
+        while left > 1e-9:
+            thickness, epsilon = rest[0]
+            used = min(thickness, left)
+            parts.append((used, epsilon, (taken == 0, False)))
+            rest[0] = (thickness - used, epsilon)
+            if rest[0][0] <= 1e-9:
+                rest.pop(0)
+            left, taken = left - used, taken + 1
+        for used, epsilon, (near, far) in reversed(parts) if is_above else parts:
+            put(used, np.full(len(fractions), epsilon), (far, near) if is_above else (near, far), at, at)
+        return rest, parts[-1][0] if np.isinf(thickness) else 0.0
+
+    above, high = outer(above, line[0], True)
+    for k, ((layer, _), value) in enumerate(zip(inner, values, strict=True)):
+        put(layer.thickness_nm * k0, np.asarray(value, dtype=complex), (True, True), line[k], line[k + 1])
+    below, low = outer(below, line[-1], False)
+    rows = rows[::-1]
+    _checked(len(rows), len(region), k0)
+    u = _nodes(degree)[0]
+    height = np.array([h for h, _, _, _ in rows])
+    lower, upper = np.array([b for _, _, b, _ in rows]), np.array([a for _, a, _, _ in rows])
+    shape = (len(rows), len(region), len(u), len(u))
+    w_0, w_1 = np.diff(lower, axis=1)[:, :, None, None], np.diff(upper, axis=1)[:, :, None, None]
+    shift = (upper - lower)[:, :, None, None]
+    metric = np.zeros((4, *shape))
+    metric[0] = w_0 + (w_1 - w_0) * u
+    metric[1] = shift[:, :-1] + (shift[:, 1:] - shift[:, :-1]) * u[:, None]
+    metric[3] = height[:, None, None, None]
+    filling = np.array([e for _, _, _, e in rows])
+    return Grid((line[-1], line[0]), filling, metric, below, above, low, high)
+
+
+def _profile_grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> Grid:
+    """Return elements that follow the profile and its films, graded towards its corners."""
+    profile = stack.profile
+    assert profile is not None
+    period, depth = stack.cell.period_x * k0, profile.depth_nm * k0
+    films = [(layer.thickness_nm * k0, complex(layer.epsilon)) for layer in stack.layers]
+    index = max([stack.reach, *(np.sqrt(epsilon).real for _, epsilon in films)])
+    samples = (np.arange(256) + 0.5) / 256
+    steepness = float(np.sqrt(1.0 + (depth / period * np.abs(profile.slope(samples)).max()) ** 2))
+    longest, buffer = PHASE * degree / index, BUFFER * period
+    graded = bool(profile.corners)
+    corners = np.array(profile.corners if graded else [0.0, 0.25, 0.5, 0.75]) * period
+    widths = np.diff(corners, append=corners[0] + period)
+    pieces = [
+        a + _graded(w, layers, (graded, graded), longest / steepness)[:-1] for a, w in zip(corners, widths, strict=True)
+    ]  # fmt: skip
+    edges = np.append(np.concatenate(pieces), corners[0] + period)
+    lines: list[Array] = []  # from the top down: z = c + b a(x), and epsilon
+    values: list[complex] = []
+
+    def put(
+        start: tuple[float, float], end: tuple[float, float], epsilon: complex, step: float, ends: tuple[bool, bool]
+    ) -> None:
+        length = np.abs(start[0] - end[0]) + depth * np.abs(start[1] - end[1])
+        at = _graded(length, layers, (ends[0] and graded, ends[1] and graded), step)[:, None] / length
+        found = (1.0 - at) * np.array(start) + at * np.array(end)
+        lines.extend(found if not lines else found[1:])
+        values.extend([epsilon] * (len(at) - 1))
+
+    put((buffer, 0.0), (0.0, 1.0), stack.cover**2 + 0j, longest, (False, True))
+    at = 0.0
+    for thickness, epsilon in films:
+        put((-at, 1.0), (-at - thickness, 1.0), epsilon, PHASE * degree / abs(np.sqrt(epsilon)), (True, True))
+        at += thickness
+    substrate = complex(stack.substrate)
+    skins = SKINS * steepness / max(substrate.imag, 1e-9)
+    below = at
+    if skins < depth + buffer:
+        put((-at, 1.0), (-at - skins, 1.0), substrate**2, PHASE * degree * steepness / abs(substrate), (True, False))
+        below += skins
+        put((-below, 1.0), (-below - buffer, 0.0), substrate**2, np.inf, (False, False))
+        lines[-1] = np.array([-below - depth - buffer, 0.0])
+    else:
+        put((-at, 1.0), (-at - depth - buffer, 0.0), substrate**2, longest, (True, False))
+    rows, columns = len(values), len(edges) - 1
+    _checked(rows, columns, k0)
+    u = _nodes(degree)[0]
+    c, b = np.array(lines[::-1]).T
+    h = np.diff(edges)[:, None]
+    x = (edges[:-1, None] + h * u) / period % 1.0
+    height, slope = depth * profile.height(x), depth / period * profile.slope(x)
+    share = b[:-1, None] + np.diff(b)[:, None] * u
+    metric = np.zeros((4, rows, columns, len(u), len(u)))
+    metric[0] = h[:, :, None]
+    metric[2] = (h * slope)[:, :, None] * share[:, None, None]
+    metric[3] = np.diff(c)[:, None, None, None] + np.diff(b)[:, None, None, None] * height[:, :, None]
+    filling = np.repeat(np.array(values[::-1])[:, None], columns, axis=1)
+    outside = [(np.inf, substrate**2)], [(np.inf, stack.cover**2 + 0j)]
+    return Grid((edges, edges), filling, metric, *outside, below - at + buffer, buffer)
