@@ -11,9 +11,13 @@ from .directions import scattering_figure as scattering_figure
 from .directions import slice_figure as slice_figure
 from .material import KINDS as KINDS
 from .material import data_figure as data_figure
+from .material import field_figure as field_figure
 from .material import material_figure as material_figure
+from .material import microscope_figure as microscope_figure
+from .material import platelet_figure as platelet_figure
 from .material import save_index as save_index
 from .material import save_material as save_material
+from .material import structure_figure as structure_figure
 from .measurements import FitPanel as FitPanel
 from .measurements import fit_panels_figure as fit_panels_figure
 from .measurements import texture_figure as texture_figure
@@ -28,10 +32,6 @@ from .spectra import michel_levy_figure as michel_levy_figure
 from .spectra import mueller_figure as mueller_figure
 from .spectra import ribbon_figure as ribbon_figure
 from .spectra import spectrum_figure as spectrum_figure
-from .structures import field_figure as field_figure
-from .structures import microscope_figure as microscope_figure
-from .structures import platelet_figure as platelet_figure
-from .structures import structure_figure as structure_figure
 from .style import Figure as Figure
 from .style import house_style as house_style
 from .style import new_figure as new_figure
