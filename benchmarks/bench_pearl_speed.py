@@ -46,7 +46,7 @@ KNOB_SIZE, KNOB_SPP, KNOB_REFERENCE_SPP = 512, 8, 4096
 
 
 def conserving(name: str) -> nacre.Material:
-    """An example whose light is counted physically: its walks are longer, and the numbers here are of them."""
+    """An example with conserved energy; its random walks are longer, and the figures here are of them."""
     return nacre.load(EXAMPLES / f"{name}.toml").vary({"strata[0].platelets[0].energy_balance": "conserving"})
 
 
