@@ -115,7 +115,7 @@ class InterfaceResponse:
 
     @property
     def size(self) -> int:
-        """Number of wavelengths."""
+        """Wavelength count."""
         return len(self.wavelengths_nm)
 
     @property
@@ -320,7 +320,7 @@ def parameter_coordinates(
 ) -> tuple[Array, ...]:
     """Return each parameter's node coordinate (0 at the first value) at `uv`, broadcast to `shape`.
 
-    The default `uv` is the middle of the surface, (0.5, 0.5).
+    The default `uv` is the surface's middle, (0.5, 0.5).
     """
     if not parameters:
         return ()

@@ -250,7 +250,7 @@ def _bilinear(image: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.
 
 
 def places(uv: Array | None, shape: tuple[int, ...]) -> Array:
-    """Return places on the surface, `uv` broadcast to `[*shape, 2]`; the default is the middle of the surface."""
+    """Return places on the surface, `uv` broadcast to `[*shape, 2]`; the default is the surface's middle."""
     return np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(np.asarray(uv, dtype=float), (*shape, 2))
 
 

@@ -273,7 +273,7 @@ def _numbers(chance: float, excess: float) -> tuple[float, float, float]:
 
 
 def sparkle_statistics(areas: Sequence[Area], pixels: Pixels, is_fine: bool = True) -> Sparkle:
-    """Return sparkle from the statistics of the flakes; its standard errors are those of the quadrature.
+    """Return sparkle from the flake statistics; its standard errors are those of the quadrature.
 
     Args:
         areas: parts of the surface, whose shares sum to 1.
@@ -538,7 +538,7 @@ def veiled(area: DiffuseArea) -> float:
 def graininess_statistics(
     areas: Sequence[tuple[float, DiffuseArea]], distance_mm: float, is_fine: bool = True
 ) -> Graininess:
-    """Return graininess from the statistics of the flakes; its error is that of the integration.
+    """Return graininess from the flake statistics; its error is that of the integration.
 
     Args:
         areas: each with the factor on its luminance, whose squares weight the variances.

@@ -117,7 +117,7 @@ class DesignFolder(abc.ABC, Generic[Answer]):
 
     @abc.abstractmethod
     def budget(self) -> Budget:
-        """Return the budget of the search."""
+        """Return the search budget."""
 
     @abc.abstractmethod
     def write_best(self, worst: float, changes: Changes) -> dict[str, Any]:

@@ -620,7 +620,7 @@ class FormulationFolder(DesignFolder[Formulation]):
         search.restore(checkpointer)
 
     def budget(self) -> Budget:
-        """Return the budget of the search."""
+        """Return the search budget."""
         return self.task.budget()
 
     def claim(self) -> None:

@@ -213,7 +213,7 @@ class RecipeFolder(SolvableFolder):
         self._previous_best = _previous_best(self.folder) if checkpointer.solutions else None
 
     def budget(self) -> Budget:
-        """Return the budget of the search."""
+        """Return the search budget."""
         return budget_of(self.task, self.search, self.spent_s)
 
     def write_best(self, worst: float, changes: Changes) -> dict[str, Any]:

@@ -172,7 +172,7 @@ class TextTable:
 
     @property
     def width(self) -> int:
-        """Number of columns."""
+        """Column count."""
         return len(self.units)
 
     def column_text(self, column: int) -> list[str]:

@@ -76,7 +76,7 @@ class MaskedLobe(Lobe):
         return (self.name, *self.inner.varying)
 
     def share(self, uv: Array | None, shape: tuple[int, ...]) -> Array:
-        """Return the weight at uv, `shape`; the default uv is the middle of the surface."""
+        """Return the weight at uv, `shape`; the default uv is the surface's middle."""
         value = self.mask(places(uv, shape))
         if self.nodes is not None:
             return hat(value, self.nodes, self.node)

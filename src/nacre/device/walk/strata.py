@@ -275,7 +275,7 @@ class Strata:
         return total
 
     def shown_area(self, row: list[Any], local: Any) -> Any:
-        """Return the projected area of a row's flakes in their frame: the number of flakes on the ray."""
+        """Return the projected area of a row's flakes in their frame: the flake count on the ray."""
         return row[0] * dr.norm(mi.Vector3f(row[1] * local.x, row[2] * local.y, row[3] * local.z))
 
     def mean_extinction(self, kind: Any, local: Any, where: Located, active: Any) -> Any:

@@ -115,7 +115,7 @@ class Film(Polarised):
 
     @property
     def stack(self) -> Stack:
-        """The stack at the middle of the surface."""
+        """The stack at the surface's middle."""
         return self.stack_at(MIDDLE)
 
     @property
@@ -428,7 +428,7 @@ class Film(Polarised):
         polarisation: str = "both",
         azimuth_rad: float = 0.0,
     ) -> Spectrum:
-        """Return reflectance and transmittance at angles in the ambient, at the middle of the surface.
+        """Return reflectance and transmittance at angles in the ambient, at the surface's middle.
 
         The specular parts of a rough film are those of its smooth stack, as is the diffuse part of a base, so that
         their sum never exceeds one. Ridges scatter diffusely, for light in the plane y = 0.

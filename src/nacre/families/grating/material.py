@@ -91,7 +91,7 @@ class Grating(Diffracting, Pixels, Fabricable):
     """A periodic structure of layers, or of a profile, on a substrate.
 
     Attributes:
-        cell: the lattice; where the period varies, that of the middle of the surface.
+        cell: the lattice; where the period varies, that of the surface's middle.
         turn_deg: angle from u to the direction across the lines; `turn`: a texture in its place.
         period: unset for a single one.
         tolerance: largest estimated efficiency error; None: by method.

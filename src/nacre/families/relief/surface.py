@@ -31,7 +31,7 @@ def blur_matrix(features: int, samples_per_feature: int, blur_over_feature: floa
     Samples lie at (i + 1/2) / samples_per_feature features.
 
     Args:
-        features: n, the number of features along the axis.
+        features: n, the feature count along the axis.
         samples_per_feature: U, a positive integer.
         blur_over_feature: standard deviation of the blur in feature widths; 0 leaves sharp walls.
     """

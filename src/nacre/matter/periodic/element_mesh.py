@@ -22,7 +22,7 @@ from nacre.matter.periodic.types import Array
 
 WIDE = 0.9  # walls nearer to the sides of an oblique cell, relative to its centre, need the hexagon
 CORE = 0.55  # corners of the innermost blocks, over the first wall's distance
-THIN = 2  # degree of thin blocks along the radial lines
+THIN = 2  # degree along the radial lines in thin blocks
 EXTRA_POINTS = 6  # of the integrals, beyond the degree: sides are curved
 
 
@@ -41,7 +41,7 @@ class Oval:
     turn_rad: float = 0.0
 
     def radius(self, angle: Array) -> Array:
-        """Return the distance of the wall from the centre."""
+        """Return the distance from the centre to the wall."""
         own = angle - self.turn_rad
         return np.asarray(self.a * self.b / np.hypot(self.b * np.cos(own), self.a * np.sin(own)))
 
@@ -66,7 +66,7 @@ def cell_corners(cell: Cell, walls: tuple[Oval, ...]) -> Array:
 
 
 def _hexagon(first: Array, second: Array) -> Array:
-    """Return the corners `[6, 2]` of the region nearest to one node of a lattice."""
+    """Return the corners `[6, 2]` around the points nearest to one lattice node."""
     while True:
         second = second - np.rint(second @ first / (first @ first)) * first
         if second @ second >= (first @ first) * (1.0 - 1e-12):
@@ -85,7 +85,7 @@ def _hexagon(first: Array, second: Array) -> Array:
 
 
 def _distance(corners: Array, angles: Array) -> Array:
-    """Return the distance of a polygon's sides from the centre along each angle."""
+    """Return the distance from the centre to a polygon's sides along each angle."""
     sides = np.roll(corners, -1, axis=0) - corners
     normals = np.stack([sides[:, 1], -sides[:, 0]], axis=-1)
     along = np.stack([np.cos(angles), np.sin(angles)], axis=-1) @ normals.T
@@ -94,7 +94,7 @@ def _distance(corners: Array, angles: Array) -> Array:
 
 
 def side_distance(cell: Cell, angles: Array) -> Array:
-    """Return the distance of the outermost sides that a mesh can have, from its centre."""
+    """Return the distance from a mesh's centre to the outermost sides that it can have."""
     return _distance(_parallelogram(cell) if cell.is_rectangular else _hexagon(*_vectors(cell)), angles)
 
 
@@ -104,10 +104,10 @@ class Block:
 
     Attributes:
         ends: `[2, 2, 2]`, x and y on the inner and on the outer side, at eta = -1, 1.
-        degrees: of the continuous functions along xi and along eta.
+        degrees: those along xi and along eta for continuous functions.
         walls: inner and outer oval; None: a straight side.
-        angles: of both radial lines.
-        span: part of the radial lines, from the inner side.
+        angles: those between which the radial lines lie.
+        span: begin and end along the radial lines, 0 at the inner side, 1 at the outer.
     """
 
     region: int
@@ -125,7 +125,7 @@ class Block:
 
     @property
     def lengths(self) -> tuple[float, float]:
-        """Longest distance of the corners along xi and along eta."""
+        """Longest distance between corners along xi and along eta."""
         c = self.corners
         return float(np.hypot(*(c[0] - c[1]).T).max()), float(np.hypot(*(c[:, 0] - c[:, 1]).T).max())
 
@@ -145,7 +145,7 @@ class Block:
 
 
 def _spans(steps: tuple[float, ...], first: bool, last: bool) -> list[tuple[float, float, bool]]:
-    """Return parts of a radial line that are graded towards the walls at its ends, and whether each is thin."""
+    """Return radial intervals that are graded towards the walls at their ends, and whether each is thin."""
     edges = [0.0, *(steps[::-1] if first else ()), *(1.0 - step for step in steps if last), 1.0]
     middle = len(steps) if first else 0
     return [(a, b, k != middle) for k, (a, b) in enumerate(zip(edges, edges[1:], strict=False))]
@@ -209,12 +209,12 @@ class ElementMesh:
 
     Attributes:
         masses: per region, of the edge functions (their scale does not depend on the unit of length).
-        heights: per region, of the continuous functions.
+        heights: mass matrices of continuous functions, per region.
         rotation: curl times curl of the edge functions.
         gradient: from continuous to edge functions.
         edge, node: `[local]` numbers of the joined functions, signs, and offsets `[local, 2]` by lattice vectors.
         blocks: their maps.
-        sizes: count of joined edge and of joined continuous functions.
+        sizes: how many joined edge and continuous functions there are.
     """
 
     cell: Cell
@@ -299,7 +299,7 @@ def _fields(both: tuple[Array, Array], a: Array, b: Array) -> Array:
 
 
 def edge_count(cell: Cell, walls: tuple[Oval, ...], elements: Elements) -> int:
-    """Return the number of joined edge functions."""
+    """Return the joined edge function count."""
     return sum(2 * block.degrees[0] * block.degrees[1] for block in _blocks(cell, walls, elements))
 
 
@@ -346,7 +346,7 @@ def _mapped(block: Block, xi: Array, eta: Array) -> tuple[Array, Array, Array]:
     at = block.at(xi, eta)
     one = np.ones_like(xi)
     along = 0.5 * (block.at(one, eta) - block.at(-one, eta))
-    step = 1e-5  # central differences of four terms: exact to 1e-12
+    step = 1e-5  # central differences with four terms: exact to 1e-12
     across = (
         8.0 * (block.at(xi, eta + step) - block.at(xi, eta - step))
         - (block.at(xi, eta + 2.0 * step) - block.at(xi, eta - 2.0 * step))
@@ -362,8 +362,8 @@ class _Numbers:
     """Numbers of the corners and sides of a periodic mesh, and of the functions on them.
 
     Attributes:
-        starts: first function of each corner, side or block.
-        total: count of functions.
+        starts: the first function at each corner, side or block.
+        total: function count.
     """
 
     def __init__(self, cell: Cell) -> None:

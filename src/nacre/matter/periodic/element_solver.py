@@ -47,7 +47,7 @@ SEVERAL_WALLS: tuple[Elements, ...] = (
 )  # fmt: skip
 BEYOND = 1.3  # orders with a wave number up to this times the largest that propagates are exact
 MOST_WALLS = 2
-GAP = 1e-2  # least distance of walls from each other and from the cell's sides, over the radius
+GAP = 1e-2  # least distance between walls, and from walls to the cell's sides, over the radius
 
 
 def has_curved_metal(stack: PeriodicStack) -> bool:
@@ -79,7 +79,7 @@ def ovals(stack: PeriodicStack) -> tuple[Oval, ...]:
 
 
 def _ovals_of(shape: Shape) -> tuple[Oval, ...]:
-    """Return the walls of a disc, an ellipse or a ring."""
+    """Return the walls that bound a disc, an ellipse or a ring."""
     if isinstance(shape, Rectangle) or not isinstance(shape.key[0], str):
         return ()
     kind, *rest = shape.key
@@ -104,13 +104,13 @@ class _Basis:
 
     Attributes:
         numbers: `[order, 2]`, the exact orders.
-        edge, node: joints of the mesh.
+        edge, node: joints from the mesh.
         vectors: `[edge function, mode]`, orthonormal.
         gradient: `[mode, continuous function]`.
         curls: `[mode, mode]` of the curl times the curl, in 1/nm^2.
         squared: `[mode]`, squared wave numbers in 1/nm^2.
         is_p: `[mode]`.
-        axes: `[order, 2]`, direction of the transverse wave vector.
+        axes: `[order, 2]`, the transverse wave vector's direction.
     """
 
     mesh: ElementMesh
@@ -125,10 +125,10 @@ class _Basis:
     axes: Array
 
     def modes(self, epsilon: complex, k0: float, held: tuple[Array, float] | None = None) -> Modes:
-        """Return the modes of a homogeneous medium.
+        """Return a homogeneous medium's modes.
 
         Args:
-            held: numbers of orders that have a constant admittance instead, and its value.
+            held: orders, by number, that have a constant admittance instead, and its value.
         """
         rest = epsilon - self.squared / k0**2
         gamma = outgoing_root(np.where(np.abs(rest) < GRAZING, GRAZING, rest))
@@ -268,7 +268,7 @@ def oval_response(
 
 
 def _values(layer: PatternLayer, walls: tuple[Oval, ...]) -> list[complex]:
-    """Return the permittivity of each region, from the innermost."""
+    """Return each region's permittivity, from the innermost."""
     radii = [float(wall.radius(np.zeros(1))[0]) for wall in walls]
     found = []
     for inner, outer in zip([0.0, *radii], [*radii, radii[-1] * (1.0 + GAP)], strict=True):

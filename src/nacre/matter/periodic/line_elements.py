@@ -1,7 +1,7 @@
 """Orders of sloping lines and of deep profiles by elements across the plane, conical incidence included.
 
 E_y and H_y are continuous across every face of a structure that does not vary along y. With k^2 = epsilon - k_y^2 and
-lengths in units of 1 / k0 they obey, for all test functions v,
+lengths times k0 they obey, for all test functions v,
 
     int (epsilon / k^2) grad E . grad v + (k_y / k^2) (H_x v_z - H_z v_x) - epsilon E v = sum of int v f_E,
     int (1 / k^2) grad H . grad v - (k_y / k^2) (E_x v_z - E_z v_x) - H v = sum of int v f_H,
@@ -43,14 +43,14 @@ from nacre.matter.periodic.types import Array
 BUFFER = 0.15  # of the period: distance of the ends from the structure, over which evanescent waves lose 1 / e often
 DECAY = 20.0  # of evanescent plane waves that are left out, over the buffer, in natural logarithms
 PHASE = 0.7  # largest phase (or decay) across an element, over its degree
-SKINS = 9.0  # penetration depths below a metal surface with elements of their own
+SKINS = 9.0  # penetration depths below a metal surface with separate elements
 MAX_ELEMENTS = 3000
 SIZES = ((4, 1), (6, 2), (8, 3), (10, 4), (12, 5))  # degree and grading layers
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Elements `[row, column]` from the bottom up, in units of 1 / k0.
+    """Elements `[row, column]` from the bottom up, lengths times k0.
 
     Attributes:
         edges: `[column + 1]`, of the lowest and of the highest line, which are flat.
@@ -107,7 +107,7 @@ def solve_elements(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: f
         source[both] += np.sqrt(period) * np.concatenate([joint @ side.s[:, 0], joint @ side.s[:, 1]])
     found = scipy.sparse.linalg.splu(
         matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True}
-    ).solve(source)  # a twentieth of the time of the default
+    ).solve(source)  # a twentieth of the default's time
     ends = []
     for (joint, at), side in zip(joints, (upper, lower), strict=True):
         e = np.stack([joint.conj().T @ found[at], joint.conj().T @ found[count + at]], axis=1) / np.sqrt(period)
@@ -156,14 +156,14 @@ class _Side:
             self.s = back @ given - self.y @ given
 
     def outward(self, e: Array) -> Array:
-        """Return e at the innermost face of the half space."""
+        """Return e at the half space's innermost face."""
         for total, given, outer, far in reversed(self.steps):
             e = outer @ np.linalg.solve(total, e - given) + far
         return e
 
 
 def _flux(epsilon: complex, alpha: Array, k_y: float, gamma: Array) -> Array:
-    """Return f / e `[wave, 2, 2]` of plane waves."""
+    """Return f / e `[wave, 2, 2]` for plane waves."""
     cross = np.full(len(alpha), k_y) * alpha
     rows = [[epsilon * gamma, cross], [-cross, gamma]]
     return np.asarray(np.moveaxis(np.array(rows, dtype=complex), -1, 0) * (1j / (epsilon - k_y**2)))
@@ -190,7 +190,7 @@ def _system(grid: Grid, degree: int, k_y: float, phase: complex) -> tuple[scipy.
     """Return the matrix over E and then H, without the elements' inner functions, and the numbers on flat lines.
 
     Returns:
-        matrix, and for each line between rows the numbers of its functions, corners first.
+        matrix, and for each line between rows its function numbers, corners first.
     """
     rows, columns = grid.epsilon.shape
     count, order = rows * columns, degree + 1
@@ -242,7 +242,7 @@ def _system(grid: Grid, degree: int, k_y: float, phase: complex) -> tuple[scipy.
 def _numbering(rows: int, columns: int, degree: int, k: Array, m: Array) -> tuple[Array, Array, list[Array]]:
     """Return the numbers `[element, local]`, whether each lies a period further, and the numbers on each line."""
     bubbles = degree - 1
-    stride = columns * (1 + 2 * bubbles)  # corners, lines and walls of a row
+    stride = columns * (1 + 2 * bubbles)  # corners, lines and walls in a row
     row, column = np.divmod(np.arange(rows * columns)[:, None], columns)
     right = column + (k == 1)
     line = (row + (m == 1)) * stride
@@ -278,7 +278,7 @@ def _checked(rows: int, columns: int, k0: float) -> None:
 
 
 def wall_lines(tilted: Sequence[tuple[PatternLayer, tuple[float, ...]]], period: float) -> Array:
-    """Return the places of all walls at each face between layers, `[face, line]`, ascending; faces from the top down.
+    """Return where all walls lie at each face between layers, `[face, line]`, ascending; faces from the top down.
 
     A wall goes on through other layers at a fixed place between their walls.
 

@@ -51,7 +51,7 @@ class RidgeCase:
 
 
 def even_wavelengths(low_nm: float, high_nm: float) -> Array:
-    """Return the ends of a range and the multiples of 20 nm between, which other ranges share."""
+    """Return a range's ends and the multiples of 20 nm between, which other ranges share."""
     between = STEP_NM * np.arange(np.floor(low_nm / STEP_NM) + 1.0, np.ceil(high_nm / STEP_NM))
     return np.unique(np.concatenate([[low_nm], between, [high_nm]]))
 

@@ -80,7 +80,7 @@ def solve_coarse(
 
 
 def line_step(stack: PeriodicStack, step: int) -> int:
-    """Return the number of the size that serves for `step`: a finer one for adjacent layers of metal lines."""
+    """Return the size number that serves for `step`: a finer one for adjacent layers of metal lines."""
     metals = [
         is_patterned(layer) and min(complex(e).real for e in (layer.epsilon, *(e for _, e in layer.shapes))) < 0.0
         for layer in stack.layers

@@ -161,7 +161,7 @@ def reflected_fan(
         cover: index of the medium above and between the ridges.
         substrate: complex index of the membrane and the pedestals.
         sine_along: component of the incident direction along the ridges.
-        more: factor on the number of orders.
+        more: factor on the order count.
     """
     most = int(more * (MORE_ORDERS[0] * cover * ridges.period_nm / wavelength_nm + MORE_ORDERS[1]))
     numbers = np.arange(-most, most + 1)

@@ -82,7 +82,7 @@ class ReliefFolder(SolvableFolder):
         self._evaluator = Evaluator(task.problem, task.problem.search_upsamplings()[0])
 
     def budget(self) -> Budget:
-        """Return the budget of the search: the time limit minus that of the final evaluation and the report."""
+        """Return the search budget: the time limit minus that of the final evaluation and the report."""
         reserved_s = _evaluation_seconds(self.task) + min(FINAL_SHARE * self.seconds, FINAL_MAX_S)
         seconds = max(self.left_s - reserved_s, MIN_SEARCH_SHARE * self.seconds)
         return Budget(self.task.evaluations, seconds, reserved_s)

@@ -43,7 +43,7 @@ _TOLERANCE = re.compile(r"layers\[(\d+|\*)\]\.thickness_(nm|um|mm)$")
 
 
 class ThinFilmSearch(Search):
-    """Genetic search of the stack of a film."""
+    """Genetic search of a film's stack."""
 
     def __init__(self, task: DesignTask, seed: int) -> None:
         super().__init__(task.spec.search.solutions)

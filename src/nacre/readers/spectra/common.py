@@ -326,7 +326,7 @@ def stated_axes(lines: Sequence[str]) -> tuple[str | None, str]:
 
 
 def unit_named(text: str) -> str | None:
-    """Return the unit of the abscissa that a label names, or None.
+    """Return the abscissa unit that a label names, or None.
 
     Example:
         >>> unit_named("Wavelength (nm)"), unit_named("cm-1"), unit_named("MICROMETERS")
