@@ -24,9 +24,9 @@ test-full: setup
 test-lowest:
 	@bash tools/test_lowest.sh
 
-# the tests of the device on an NVIDIA GPU; those of single families too
+# the tests of the device on an NVIDIA GPU, those of single families too; `make test-gpu WORKERS=12`
 test-gpu: setup
-	@NACRE_VARIANT=cuda_ad_spectral $(PY) -m pytest -q -m "(render or gpu) and not full" -n 2 --dist worksteal \
+	@NACRE_VARIANT=cuda_ad_spectral $(PY) -m pytest -q -m "(render or gpu) and not full" -n $(or $(WORKERS),2) --dist worksteal \
 	  tests/render_plugins tests/film tests/blend tests/pearl tests/metasurface tests/relief tests/glass tests/grating \
 	  tests/render_scenes/test_pictures.py tests/render_scenes/test_polarised_pictures.py tests/render_scenes/test_paths.py
 

@@ -59,7 +59,7 @@ def slow_cases() -> list[str]:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark them `full`, before pytest chooses by mark; where all is collected, a name that no case has is an error."""
     slow = dict.fromkeys(slow_cases(), False)
     files = set()
@@ -69,9 +69,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             if name in slow:
                 slow[name] = True
                 item.add_marker(pytest.mark.full)
+    files |= {file for name in slow if not (SLOW_CASES.parents[1] / (file := name.partition("::")[0])).exists()}
     whole = {name.partition("::")[0] for name in slow} <= files
     if gone := [name for name, found in slow.items() if not found and whole]:
-        raise pytest.UsageError(f"{SLOW_CASES.name}: no such case: {', '.join(gone)}")
+        reason = f"{SLOW_CASES.name}: no such case: {', '.join(gone)}"
+        if hasattr(config, "workerinput"):  # the main process of xdist stops, but does not learn why
+            with config.pluginmanager.getplugin("capturemanager").global_and_fixture_disabled():
+                print(reason, file=sys.stderr, flush=True)
+        raise pytest.UsageError(reason)
 
 
 def pytest_collection_finish() -> None:

@@ -30,3 +30,16 @@ def test_what_cannot_vary_is_refused_with_what_can(recipe: dict[str, Any], what:
         nacre.material(recipe)
     message = str(caught.value)
     assert what in message and "blend" in message and "\n" not in message
+
+
+@pytest.mark.parametrize("texture", [{"formula": "180*v", "min": 180, "max": 0}, {"texture": "a.png", "formula": "v"}])
+@pytest.mark.parametrize("place", ["orientation.turn_deg", "lattice.period_nm"])
+def test_a_wrong_texture_of_a_number_that_varies_is_named(place: str, texture: dict[str, Any]) -> None:
+    table, key = place.split(".")
+    recipe: dict[str, Any] = {"family": "grating", "substrate": "Al", "lattice": {"period_nm": 900},
+                              "profile": {"shape": "sinusoidal", "depth_nm": 130}}  # fmt: skip
+    with pytest.raises(RecipeError) as caught:
+        nacre.material({**recipe, table: {**recipe.get(table, {}), key: texture}})
+    message = str(caught.value)
+    assert place in message and ("min" if "min" in texture else "formula") in message
+    assert "cannot vary" not in message and "\n" not in message

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import tomllib
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -259,6 +260,26 @@ def test_render_tests_fail_the_session_without_llvm(tmp_path: Path) -> None:
     assert line.startswith("FAILED: 1 rendering tests could not run: no usable LLVM")
 
 
+@pytest.mark.parametrize(
+    ("gone", "processes"), [("suite/test_a.py::test_gone", ["-n", "1"]), ("suite/test_gone.py::test_plain", [])]
+)
+def test_a_slow_case_that_no_longer_exists_fails_the_session(gone: str, processes: list[str], tmp_path: Path) -> None:
+    folder = tmp_path / "suite"
+    folder.mkdir()
+    (folder / "conftest.py").write_text((Path(__file__).parents[1] / "conftest.py").read_text())
+    (folder / "test_a.py").write_text("def test_plain():\n    pass\n\ndef test_slow():\n    pass\n")
+    (folder / "slow_cases.txt").write_text(f"suite/test_a.py::test_slow\n{gone}\n")
+    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = full\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not full", *processes, str(folder)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode not in (0, 5) and gone in done.stdout + done.stderr
+
+
 @pytest.mark.render
 def test_an_own_variant_is_kept_and_the_plugin_follows_it(tmp_path: Path) -> None:
     """A user's own mi.set_variant, before or after importing nacre.render, is all that is needed."""
@@ -344,6 +365,40 @@ def test_the_test_kernel_of_the_gpu_expects_what_another_backend_answers(monkeyp
     monkeypatch.setattr(dr, "has_backend", lambda backend: True)
     monkeypatch.setitem(sys.modules, "drjit.cuda", drjit.llvm)
     assert variant.cuda_failure() == ""
+
+
+@pytest.mark.render
+def test_a_ray_that_a_variant_cannot_trace_is_a_failure_and_leaves_the_variant(monkeypatch: pytest.MonkeyPatch) -> None:
+    import nacre.render
+
+    mi = nacre.render.use_variant()
+    before = mi.variant()
+    trace = variant.ray_failure.__wrapped__
+    assert trace("llvm_ad_spectral" if before.startswith("llvm") else before) == ""
+
+    def without_optix(_: object) -> None:
+        raise RuntimeError("Could not initialize OptiX!")
+
+    monkeypatch.setattr(mi, "load_dict", without_optix)
+    assert "OptiX" in trace("scalar_spectral") and mi.variant() == before
+
+
+@pytest.mark.render
+@pytest.mark.parametrize(("has_gpu", "warned"), [(True, 1), (False, 0)])
+def test_a_gpu_without_rays_leaves_the_picture_to_llvm(
+    has_gpu: bool, warned: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Containers often lack OptiX; the GPU used to be chosen, and the picture then failed."""
+    mi = variant.import_mitsuba()
+    monkeypatch.setattr(variant, "has_gpu", lambda: has_gpu)
+    monkeypatch.setattr(variant, "cuda_failure", lambda: "" if has_gpu else "no NVIDIA GPU")
+    monkeypatch.setattr(variant, "ray_failure", lambda: "Could not initialize OptiX!")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert variant._available(None, mi) == "llvm_ad_spectral"
+    assert len([each for each in caught if "OptiX" in str(each.message)]) == warned
+    with pytest.raises(MachineError, match="OptiX" if has_gpu else "GPU"):
+        variant._available("cuda_ad_spectral", mi)
 
 
 @pytest.mark.render

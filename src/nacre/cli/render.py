@@ -183,7 +183,6 @@ def _summary(path: Path, stats: Mapping[str, Any]) -> str:
 @common.jobs_option
 def demo(out: str, quick: bool) -> None:
     """Make pictures, figures and animations of every example recipe, and a contact sheet."""
-    pass
 
     def show(item: Any, number: int, total: int, seconds: float, left: float) -> None:
         common.note(f"[{number:2d}/{total}] {_clock(seconds)} spent, about {_clock(left)} left: {item.title}")

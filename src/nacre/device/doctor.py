@@ -1,5 +1,7 @@
 """Diagnosis of this machine for `nacre doctor`."""
 
+from __future__ import annotations
+
 import importlib.metadata
 import importlib.util
 import os
@@ -8,10 +10,14 @@ import shutil
 import sys
 import tempfile
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from nacre._version import __version__
 from nacre.core.errors import MachineError
 from nacre.core.memory import VARIABLE, memory_limit, shown_bytes
+
+if TYPE_CHECKING:
+    from nacre.device.variant import VariantReport
 
 EXTRAS = {
     "studio": (("starlette", "uvicorn", "websockets"), "pip install 'nacre[studio]'"),
@@ -34,7 +40,10 @@ class Finding:
 
 def examine() -> list[Finding]:
     """Check Python, packages, LLVM, Mitsuba's variants, GPU and folders; takes a second or two."""
-    return [_python(), *_packages(), *_rendering(), _gpu(), _cache(), _memory()]
+    from nacre.device import variant
+
+    state = variant.report()
+    return [_python(), *_packages(), *_rendering(state), _gpu(state), _cache(), _memory()]
 
 
 def _python() -> Finding:
@@ -63,10 +72,9 @@ def _packages() -> list[Finding]:
     return findings
 
 
-def _rendering() -> list[Finding]:
-    from nacre.device import llvm, variant
+def _rendering(state: VariantReport) -> list[Finding]:
+    from nacre.device import llvm
 
-    state = variant.report()
     if state.llvm_used:
         wheel = f"{llvm.WHEEL} {llvm.wheel_version()}: " if llvm.from_wheel(state.llvm_used) else ""
         found = f"{wheel}{state.llvm_used} (version {state.llvm_version or 'unknown'})"
@@ -87,10 +95,11 @@ def _rendering() -> list[Finding]:
 ON_GPU = "pictures are rendered on it, in cuda_ad_spectral; NACRE_VARIANT=llvm_ad_spectral keeps them on the CPU"
 
 
-def _gpu() -> Finding:
-    tool = shutil.which("nvidia-smi")
-    if tool is None:
+def _gpu(state: VariantReport) -> Finding:
+    if shutil.which("nvidia-smi") is None:
         return Finding("GPU", "note", "none found; the CPU does everything")
+    if reason := state.variants.get("cuda_ad_spectral"):
+        return Finding("GPU", "note", reason, "pictures are rendered on the CPU until cuda_ad_spectral works")
     return Finding("GPU", "ok", "an NVIDIA driver is here", ON_GPU)
 
 

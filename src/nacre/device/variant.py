@@ -23,6 +23,8 @@ ENVIRONMENT_VARIABLE = "NACRE_VARIANT"
 UNPOLARISED = ("llvm_ad_spectral", "cuda_ad_spectral", "scalar_spectral")
 POLARISED = tuple(f"{name}_polarized" for name in UNPOLARISED)
 VARIANTS = UNPOLARISED + POLARISED
+ON_GPU = "cuda_ad_spectral"
+GPU_WARNING = "{reason}: rendering on the CPU; NACRE_VARIANT=llvm_ad_spectral chooses it without this warning"
 RGB = ("llvm_ad_rgb", "cuda_ad_rgb", "scalar_rgb")  # only in the user's own scenes
 SCALAR_WARNING = (
     "{reason}: falling back to scalar_spectral, some hundreds of times slower, good for tiny previews only; {remedy}"
@@ -33,8 +35,8 @@ def use_variant(requested: str | None = None) -> ModuleType:
     """Return mitsuba with a spectral variant set.
 
     Args:
-        requested: a variant in `VARIANTS`; default: `NACRE_VARIANT`, else the variant already set, else the best
-            working one.
+        requested: a variant in `VARIANTS`; default: `NACRE_VARIANT` (its polarised twin if that is set), else the
+            variant already set, else the best working one.
 
     Raises:
         UnsupportedError: the variant is not in `VARIANTS`.
@@ -107,10 +109,13 @@ def _available(requested: str | None, mi: ModuleType) -> str:
         if reason := _variant_failure(requested, mi):
             raise MachineError(f"Mitsuba variant {requested} does not work here: {reason}")
         return requested
-    for name in ("cuda_ad_spectral", "llvm_ad_spectral"):
-        if not _variant_failure(name, mi):
-            return name
+    if not (reason := _variant_failure(ON_GPU, mi)):
+        return ON_GPU
     # stacklevel: the caller of use_variant
+    if has_gpu():
+        warnings.warn(GPU_WARNING.format(reason=reason), RuntimeWarning, stacklevel=3)
+    if not _variant_failure("llvm_ad_spectral", mi):
+        return "llvm_ad_spectral"
     warnings.warn(_scalar_warning(), RuntimeWarning, stacklevel=3)
     return "scalar_spectral"
 
@@ -147,17 +152,47 @@ def _variant_failure(name: str, mi: ModuleType) -> str:
     if name not in mi.variants():
         return "this build of mitsuba does not contain it"
     if name.startswith("cuda"):
-        return cuda_failure()
+        return cuda_failure() or ray_failure()
     if name.startswith("llvm"):
         return llvm_failure()
     return ""
+
+
+def has_gpu() -> bool:
+    """Whether Dr.Jit finds an NVIDIA GPU with its driver."""
+    import drjit as dr
+
+    return bool(dr.has_backend(dr.JitBackend.CUDA))
+
+
+@functools.cache
+def ray_failure(name: str = ON_GPU) -> str:
+    """Trace a ray in a variant, by OptiX on a GPU; return the reason of a failure, or an empty string.
+
+    Containers often have the GPU without OptiX. A variant set before remains set; without one, `name` is.
+    """
+    import mitsuba as mi
+
+    before = mi.variant()
+    try:
+        mi.set_variant(name)
+        scene = mi.load_dict({"type": "scene", "shape": {"type": "rectangle"}})
+        found = scene.ray_intersect(mi.Ray3f(mi.Point3f(0.0, 0.0, 2.0), mi.Vector3f(0.0, 0.0, -1.0)))
+        good = abs(float(found.t[0]) - 2.0) < 1e-3
+    except Exception as error:  # drivers have various exceptions
+        said = str(error).strip() or type(error).__name__
+        return f"the GPU traces no rays (OptiX, a part of its driver): {said.splitlines()[0][:120]}"
+    finally:
+        if before is not None:
+            mi.set_variant(before)
+    return "" if good else "the GPU traced a ray to a wrong place"
 
 
 def cuda_failure() -> str:
     """Test a small kernel on the GPU; return the reason of a failure, or an empty string."""
     import drjit as dr
 
-    if not dr.has_backend(dr.JitBackend.CUDA):
+    if not has_gpu():
         return "no NVIDIA GPU with its driver was found"
     try:
         from drjit.cuda import Float
@@ -199,7 +234,7 @@ class VariantReport:
 
 
 def report() -> VariantReport:
-    """Examine the machine without setting a variant: best variant, failures, advice."""
+    """Examine the machine: best variant, failures, advice. A GPU is examined with its variant, then the best is set."""
     found, tried = llvm.find_llvm()
     path = (found.path or "default of drjit") if found else ""
     version = found.version if found else ""
@@ -207,8 +242,11 @@ def report() -> VariantReport:
         mi = import_mitsuba()
     except MachineError as error:
         return VariantReport(None, {}, path, version, tried, None, str(error))
+    before = mi.variant()
     reasons = {name: _variant_failure(name, mi) for name in VARIANTS}
     best = next(name for name in ("cuda_ad_spectral", "llvm_ad_spectral", "scalar_spectral") if not reasons[name])
+    if mi.variant() != before:
+        mi.set_variant(best)
     best = os.environ.get(ENVIRONMENT_VARIABLE) or best
     advice = "" if best != "scalar_spectral" else f"Rendering will be very slow. {llvm.advice()}"
     return VariantReport(best, reasons, path, version, tried, mi.__version__, advice)

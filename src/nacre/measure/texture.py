@@ -1,7 +1,7 @@
 """Texture of effect coatings: sparkle under a small lamp at 15, 45 and 75 degrees, and graininess under diffuse light.
 
 The flakes of the recipe (size, slope, number, depth, and what lies above them) give both, from their statistics
-(`nacre.measure.sparkle`, `nacre.measure.sparkle`) or from drawn patches as the camera sees them. The mean luminance
+(`nacre.measure.sparkle`) or from drawn patches as the camera sees them. The mean luminance
 is that of the material's noise-free surrogate (doubling method) if its error is known, else that of its Bsdf.
 Instruments of the market map such quantities to scales that are not public: without measured pairs the scale is
 relative. `calibration` holds such pairs. `TextureQuantity` stands for one number of a design or a fit.

@@ -145,8 +145,6 @@ def render_picture(material: Any, scene: str, options: RenderOptions) -> RenderR
 
 
 def _render_screen(bsdf: Any, options: RenderOptions, notes: Mapping[str, Any]) -> RenderResult:
-    pass
-
     camera, lighting, tone = options.camera, options.lighting, options.tone
     if options.is_polarised:
         raise UnsupportedError(

@@ -430,7 +430,7 @@ def _first_line(
 ) -> str:
     problems = error.errors(include_url=False)
     # of the attempts at a union, the deepest location is the most specific
-    problem = max(problems, key=lambda p: (p["type"] == "extra_forbidden", len(p["loc"])))
+    problem = max(problems, key=lambda p: (p["type"] == "extra_forbidden", len(p["loc"]), p["type"] == "value_error"))
     key = _key(problem["loc"], ends_in_a_key=problem["type"] == "extra_forbidden")
     if as_text := _number_as_text(problem, data):
         return f"{context.source}: {as_text}"

@@ -471,8 +471,6 @@ class Light:
         Raises:
             UnsupportedError: a lamp has a body; only environments are polarised.
         """
-        pass
-
         made = {}
         for name, emitter in self.emitters.items():
             if _is_body(emitter):
