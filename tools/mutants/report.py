@@ -42,19 +42,22 @@ def write_report(root: Path, place: Path) -> int:
     by_time = [m for m in killed if answers[m["id"]]["by"] == "time"]
     share = len(killed) / max(len(tried), 1)
     rooms, won = (Counter(m["file"].split("/")[2] for m in group) for group in (tried, killed))
-    low, high = wilson(len(killed), len(tried))
+    first = min(notes.get("as_drawn", len(killed)), len(killed))  # of the run that the notes describe
+    low, high = wilson(first, len(tried))
+    later = f" {len(killed) - first} more fell to tests written against these survivors: {len(killed)}, {share:.1%}."
     lines = [
         "# Mutants", "",
-        f"**{len(killed)} of {len(tried)} killed: {share:.1%}** (95 % interval {low:.0%} to {high:.0%}; bar: "
-        f"{BAR:.0%}). Made by `make mutants`: cosmic-ray's "
-        f"operators, seed {draw['seed']}, drawn uniformly over the {draw['lines']} lines of six rooms that hold a "
-        "mutation, whether a test reaches them or not; equivalents count as survivors. Killed means that a test fails "
-        f"which passed before, or takes three times its time ({len(by_time)} of them), within 60 s of the processor.",
-        "", "| room | killed | drawn |", "|---|---|---|",
+        f"**{first} of {len(tried)} tried mutants killed by the tests as drawn: {first / max(len(tried), 1):.1%}** "
+        f"(95 % interval {low:.0%} to {high:.0%}; bar: {BAR:.0%}).{later if len(killed) > first else ''} Made by "
+        f"`make mutants`: cosmic-ray's operators, seed {draw['seed']}, drawn uniformly over the {draw['lines']} lines "
+        "of six rooms that hold a mutation, whether a test reaches them or not; equivalents count as survivors. Killed "
+        "means that a test fails which passed before, or takes three times its time "
+        f"({len(by_time)} of them), within 60 s of the processor.",
+        "", "| room | killed | tried |", "|---|---|---|",
     ]  # fmt: skip
     lines += [f"| {room} | {won[room]} | {rooms[room]} |" for room in sorted(rooms)]
     if len(tried) < len(draw["drawn"]):
-        lines += ["", f"{len(draw['drawn']) - len(tried)} of those drawn were not tried yet."]
+        lines += ["", f"{len(draw['drawn']) - len(tried)} of the {len(draw['drawn'])} drawn were not tried."]
     short = [m for m in tried if m not in killed and answers[m["id"]]["why"].endswith("ran out")]
     equal = [m for m in tried if m not in killed and notes.get(m["id"], "").startswith("equivalent")]
     lines += [
