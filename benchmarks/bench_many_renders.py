@@ -25,7 +25,7 @@ RECIPES = (
 )  # fmt: skip
 
 
-def one_round(index: int, bsdfs: dict[str, nacre.bsdf.lobe.Bsdf]) -> tuple[float, float]:
+def one_round(index: int, bsdfs: dict[str, nacre.bsdf.Bsdf]) -> tuple[float, float]:
     """Render every material once; CPU seconds and the memory that is left in use."""
     start = time.process_time()
     for number, bsdf in enumerate(bsdfs.values()):

@@ -228,8 +228,12 @@ def test_a_stopped_formulation_resumes_to_the_same_answer(tmp_path: Path) -> Non
 
 
 @pytest.mark.full
-def test_evaluations_limit_a_formulation() -> None:
-    found = [formulate(few(evaluations=4)) for _ in range(2)]
+def test_evaluations_limit_a_formulation(tmp_path: Path) -> None:
+    def stop(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    formulate(few(evaluations=4), tmp_path / "door", stop)  # one refinement, which counts after --resume too
+    found = [formulate(few(evaluations=4)), formulate(few(evaluations=4), tmp_path / "door", resume=True)]
     assert {each.status for each in found} == {"evaluations"} and {each.combinations for each in found} == {2}
     assert found[0].formulas[0].amounts == found[1].formulas[0].amounts
 

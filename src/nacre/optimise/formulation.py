@@ -596,7 +596,7 @@ class PaintSearch(Search):
             key = (stage, tuple(each.entry.name for each in paint.ingredients), tuple(start.tolist()))
             if key not in self._refined:
                 self._refined[key] = refine(paint, start)
-                self.budget.used += 1
+            self.budget.used += 1  # those of an earlier run too: the same limit then gives the same answers
             rms, point = self._refined[key]
             found.append((rms, paint, point))
             self.finalists = sorted(found, key=lambda each: each[0])
