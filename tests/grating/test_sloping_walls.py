@@ -9,11 +9,12 @@ import pytest
 
 import nacre
 from nacre.core.parallel import single_threaded_blas
+from nacre.matter.periodic import line_elements
 from nacre.matter.periodic.lamellar_solver import solve_lamellar
 from nacre.matter.periodic.line_elements import solve_elements
 from nacre.matter.periodic.line_solver import solve_profile
 from nacre.matter.periodic.slices import Wall, inset, sliced
-from nacre.matter.periodic.solve import total
+from nacre.matter.periodic.solve import solve, total
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Rectangle, Region
 
 
@@ -78,6 +79,16 @@ def test_walls_that_meet_are_solved_by_slices() -> None:
         made | {"layers": [{"thickness_nm": 200, "material": "air", "shapes": [line]}]}, 0.0, 0.0, [700.0]
     )  # fmt: skip
     assert 0.0 < float(found.error.max()) <= 0.02
+
+
+def test_walls_of_too_many_elements_are_solved_by_slices(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(line_elements, "MAX_ELEMENTS", 10)
+    line = {"shape": "line", "material": {"n": 1.5}, "width_nm": 200, "sidewall_deg": 80}
+    layer = {"thickness_nm": 100, "material": "air", "shapes": [line]}
+    made = {"family": "grating", "substrate": {"n": 1.5}, "lattice": {"period_nm": 600}, "layers": [layer]}
+    stack = nacre.load(made).model.stacks(np.array([700.0]))[0]
+    found = solve(stack, 700.0, 0.0, 0.0, 0.02)
+    assert found.method == "lines" and 0.0 < found.error <= 0.02
 
 
 @pytest.mark.parametrize("phi_deg", [0.0, 35.0])

@@ -16,7 +16,7 @@ from nacre.matter.periodic.element_solver import ELEMENT_STEPS, has_curved_metal
 from nacre.matter.periodic.lamellar_solver import is_patterned, solve_lamellar
 from nacre.matter.periodic.line_elements import SIZES, solve_elements
 from nacre.matter.periodic.line_solver import solve_lines, solve_profile
-from nacre.matter.periodic.structure import NotConvergedError, OrderSolution, PeriodicStack, Rectangle, WallsMeetError
+from nacre.matter.periodic.structure import NotConvergedError, OrderSolution, PeriodicStack, Rectangle
 from nacre.matter.periodic.types import Array
 
 # error of the finer of two sizes over their difference, from the observed rates of convergence
@@ -131,9 +131,10 @@ def solve(
     if stack.tilted is not None:
         try:
             best = _finest("elements", stack, case, tolerance or TOLERANCE["elements"])
+        except NotConvergedError:
+            pass  # walls meet, or elements are too many: slices serve
+        else:
             return _checked(best, wavelength_nm, tolerance, is_strict)
-        except WallsMeetError:
-            pass  # slices serve
     if stack.refined is not None:
         return _solve_slices(stack, wavelength_nm, theta_rad, phi_rad, tolerance, is_strict)
     bound = tolerance or TOLERANCE[method]
