@@ -14,7 +14,7 @@ from nacre.matter.periodic.lamellar_solver import solve_lamellar
 from nacre.matter.periodic.line_elements import solve_elements
 from nacre.matter.periodic.line_solver import solve_profile
 from nacre.matter.periodic.slices import Wall, inset, sliced
-from nacre.matter.periodic.solve import solve, total
+from nacre.matter.periodic.solve import TOLERANCE, _finest, difference, solve, total
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Rectangle, Region
 
 
@@ -89,6 +89,20 @@ def test_walls_of_too_many_elements_are_solved_by_slices(monkeypatch: pytest.Mon
     stack = nacre.load(made).model.stacks(np.array([700.0]))[0]
     found = solve(stack, 700.0, 0.0, 0.0, 0.02)
     assert found.method == "lines" and 0.0 < found.error <= 0.02
+
+
+@pytest.mark.full
+def test_solvers_that_disagree_at_a_sharp_corner_state_their_difference() -> None:
+    made = {"family": "grating", "substrate": "Ag", "lattice": {"period_nm": 401},
+            "profile": {"shape": "triangle", "depth_nm": 354, "apex": 0.07}}  # fmt: skip
+    stack = nacre.load(made).model.stacks(np.array([502.0]))[0]
+    case = 2.0 * np.pi / 502.0, float(np.radians(20.0)), 0.0
+    with single_threaded_blas():
+        found = solve(stack, 502.0, *case[1:], is_strict=False)
+        both = [_finest(method, stack, (502.0, *case[1:]), TOLERANCE["profile"]) for method in ("profile", "elements")]
+    apart = difference(*both)
+    assert apart > sum(each.error for each in both)
+    assert found.error == pytest.approx(apart)
 
 
 @pytest.mark.parametrize("phi_deg", [0.0, 35.0])

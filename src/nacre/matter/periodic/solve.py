@@ -144,7 +144,10 @@ def solve(
             other = _finest("elements", stack, case, bound)
         except NotConvergedError:
             other = best
+        apart, stated = difference(best, other), best.error + other.error
         best = min(best, other, key=lambda found: found.error)
+        if apart > stated:  # at sharp corners of metal both errors can be too small
+            best = replace(best, error=apart)
     return _checked(best, wavelength_nm, tolerance, is_strict)
 
 
