@@ -47,7 +47,7 @@ def write(path: Path, text: str) -> None:
 
 def gallery(docs: Path) -> str:
     """Return the gallery: each picture of examples/gallery.toml, its command and its recipe."""
-    from nacre.cli.render import load_gallery
+    from nacre.cli.gallery import load_gallery
     from nacre.material.examples import examples_folder
 
     folder = examples_folder()

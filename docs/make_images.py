@@ -21,7 +21,7 @@ import numpy as np
 from PIL import Image, ImageOps
 
 import nacre
-from nacre.cli.render import PictureSpec, load_gallery
+from nacre.cli.gallery import PictureSpec, load_gallery
 from nacre.material.examples import examples_folder
 
 IMAGES = Path(__file__).parent / "images"

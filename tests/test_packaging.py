@@ -119,7 +119,7 @@ def test_the_wheel_holds_the_code_and_its_data(installed: Path) -> None:
 def test_the_wheel_brings_the_examples_of_the_demo(installed: Path) -> None:
     said = run_installed(
         installed,
-        "from nacre.cli.render import load_gallery\nfrom nacre.material.examples import examples_folder\n"
+        "from nacre.cli.gallery import load_gallery\nfrom nacre.material.examples import examples_folder\n"
         "folder = examples_folder(); gallery = load_gallery(folder); print(folder)\n"
         "print(all((folder / p.recipe).exists() for p in gallery.picture if '.toml' in p.recipe))\n"
         "print(all((folder / d.target).exists() for d in gallery.design))",

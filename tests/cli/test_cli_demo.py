@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from nacre.cli import run
-from nacre.cli.render import (
+from nacre.cli.gallery import (
     FULL_CELL,
     FULL_FRAME,
     FULL_FRAMES,

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from nacre.analysis.sweep_plan import SweepSpec
-from nacre.cli.render import GallerySpec
+from nacre.cli.gallery import GallerySpec
 from nacre.core.errors import RecipeError
 from nacre.families.registry import FAMILIES, family_spec
 from nacre.optimise.relief.target import TargetSpec

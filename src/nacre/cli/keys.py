@@ -27,7 +27,7 @@ OTHER_FILES = {
     "relief-design": "nacre.optimise.relief.target:TargetSpec",
     "design": "nacre.optimise.spec:DesignSpec",
     "sweep": "nacre.analysis.sweep_plan:SweepSpec",
-    "gallery": "nacre.cli.render:GallerySpec",
+    "gallery": "nacre.cli.gallery:GallerySpec",
     "formulation": "nacre.optimise.formulation:FormulationSpec",
     "pigments": "nacre.optimise.formulation:LibrarySpec",
     "instrument": "nacre.measure.texture:Instrument",
