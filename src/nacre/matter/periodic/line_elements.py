@@ -37,6 +37,7 @@ from nacre.matter.periodic.structure import (
     empty_orders,
     incident_wave,
     propagating,
+    transverse_axes,
 )
 from nacre.matter.periodic.types import Array
 
@@ -116,9 +117,7 @@ def solve_elements(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: f
     def side_of(fields: Array, index: float, sign: float, shift: float) -> OrderSet:
         orders, waves = propagating(stack, k0, transverse, index)
         beta = np.sqrt(index**2 - np.sum(waves**2, axis=1))
-        length = np.hypot(waves[:, 0], waves[:, 1])
-        safe = np.where(length < 1e-12, 1.0, length)
-        t_x, t_y = (np.where(length < 1e-12, c, w / safe) for c, w in zip((cosine, sine), waves.T, strict=True))
+        t_x, t_y = transverse_axes(waves, phi_rad)
         at = orders[:, 0] - numbers[0]
         jones = np.linalg.solve(axial(t_x, t_y, sign * beta, index), fields[at])
         jones = jones * np.exp(-1j * beta * shift)[:, None, None]
@@ -440,8 +439,7 @@ def _profile_grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> 
     if skins < depth + buffer:
         put((-at, 1.0), (-at - skins, 1.0), substrate**2, PHASE * degree * steepness / abs(substrate), (True, False))
         below += skins
-        put((-below, 1.0), (-below - buffer, 0.0), substrate**2, np.inf, (False, False))
-        lines[-1] = np.array([-below - depth - buffer, 0.0])
+        lines[-1] = np.array([-below - depth - buffer, 0.0])  # the lowest elements reach to the flat end
     else:
         put((-at, 1.0), (-at - depth - buffer, 0.0), substrate**2, longest, (True, False))
     rows, columns = len(values), len(edges) - 1

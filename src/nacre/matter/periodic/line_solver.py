@@ -39,6 +39,7 @@ from nacre.matter.periodic.structure import (
     incident_wave,
     order_set,
     propagating,
+    transverse_axes,
 )
 from nacre.matter.periodic.types import Array
 
@@ -207,10 +208,7 @@ def solve_profile(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
         shift: float,
     ) -> OrderSet:  # fmt: skip
         """Convert E_y and H_y of the orders to s and p."""
-        length = np.hypot(waves[:, 0], waves[:, 1])
-        safe = np.where(length < 1e-12, 1.0, length)
-        t_x = np.where(length < 1e-12, np.cos(phi_rad), waves[:, 0] / safe)
-        t_y = np.where(length < 1e-12, np.sin(phi_rad), waves[:, 1] / safe)
+        t_x, t_y = transverse_axes(waves, phi_rad)
         fields = np.stack([amplitudes[at], amplitudes[size + at]], axis=1)
         jones = np.linalg.solve(axial(t_x, t_y, beta, index), fields) * np.exp(1j * np.abs(beta) * shift)[:, None, None]
         # the discrete power of a mode, with which energy is conserved exactly; equal to |beta| in the limit

@@ -23,7 +23,7 @@ from nacre.matter.periodic.lamellar_solver import GRAZING, lamellar_responses
 from nacre.matter.periodic.line_solver import line_response
 from nacre.matter.periodic.scattering_matrix import outgoing_root
 from nacre.matter.periodic.solve import RUNS, line_step, method_of
-from nacre.matter.periodic.structure import PeriodicStack
+from nacre.matter.periodic.structure import PeriodicStack, transverse_axes
 from nacre.matter.periodic.types import Array
 
 NEAR = 1.2  # orders with a wave number up to this times the index are channels
@@ -233,10 +233,7 @@ def _places(numbers: Array, wanted: Array) -> Array:
 def _light(transverse: Array, index: float) -> tuple[Array, Array]:
     """Return k_z / k0 and (E_x, E_y) `[direction, 2, in]` of unit s and p waves that come down."""
     sine = np.hypot(transverse[:, 0], transverse[:, 1])
-    is_normal = sine < 1e-12
-    c, s = (
-        np.where(is_normal, 1.0 - k, transverse[:, k] / np.where(is_normal, 1.0, sine)) for k in (0, 1)
-    )  # fmt: skip
+    c, s = transverse_axes(transverse, 0.0)
     k_z = np.sqrt(index**2 - sine**2)
     cosine = k_z / index
     return k_z, np.stack([np.stack([-s, -cosine * c], axis=-1), np.stack([c, -cosine * s], axis=-1)], axis=1)

@@ -197,6 +197,14 @@ def propagating(stack: PeriodicStack, k0: float, transverse: Array, index: float
     return grid[keep], found[keep]
 
 
+def transverse_axes(waves: Array, azimuth: Array | float) -> tuple[Array, Array]:
+    """Return x and y of the unit vectors along wave vectors `[order, 2]`; those of `azimuth` if they vanish."""
+    length = np.hypot(waves[:, 0], waves[:, 1])
+    is_normal = length < 1e-12
+    x, y = (waves / np.where(is_normal, 1.0, length)[:, None]).T
+    return np.where(is_normal, np.cos(azimuth), x), np.where(is_normal, np.sin(azimuth), y)
+
+
 def order_set(
     numbers: Array,
     transverse: Array,
@@ -213,12 +221,8 @@ def order_set(
         incident: azimuth of the transverse part of the incident wave, and its k_z / k0 (positive), or `[order]`.
     """
     azimuth, k_z_in = incident
-    length = np.hypot(transverse[:, 0], transverse[:, 1])
-    is_normal = length < 1e-12
-    safe = np.where(is_normal, 1.0, length)
-    t_x = np.where(is_normal, np.cos(azimuth), transverse[:, 0] / safe)
-    t_y = np.where(is_normal, np.sin(azimuth), transverse[:, 1] / safe)
-    k_z = np.sqrt(np.maximum(index**2 - length**2, 0.0))
+    t_x, t_y = transverse_axes(transverse, azimuth)
+    k_z = np.sqrt(np.maximum(index**2 - np.hypot(transverse[:, 0], transverse[:, 1]) ** 2, 0.0))
     e_x, e_y = tangential[:, 0], tangential[:, 1]
     s = -t_y[:, None] * e_x + t_x[:, None] * e_y
     p = (t_x[:, None] * e_x + t_y[:, None] * e_y) * (index / np.maximum(k_z, 1e-12))[:, None]
