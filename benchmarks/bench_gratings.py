@@ -27,9 +27,9 @@ from common import Row, Worker, interleaved, parser, report, timed
 
 import nacre
 from nacre.core.arrays import interpolate
-from nacre.core.parallel import single_threaded_blas
+from nacre.core.machine import single_threaded_blas
 from nacre.light import spectrum_to_xyz, xyz_to_lab
-from nacre.light.colour_differences import delta_e_2000
+from nacre.light.colour_spaces import delta_e_2000
 from nacre.matter.periodic.order_tables import order_tables
 from nacre.matter.periodic.solve import difference, size_count, solve, solve_coarse, solve_many
 from nacre.render import make_bsdf, use_variant

@@ -21,7 +21,7 @@ from common import Row, interleaved, parser, report, timed
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.core.parallel import single_threaded_blas
+from nacre.core.machine import single_threaded_blas
 from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack
 from nacre.material.material import load, material
 from nacre.matter.mie import mie_coefficients

@@ -17,7 +17,7 @@ import numpy as np
 from common import Row, parser, report, timed
 
 import nacre
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.families.metasurface.tmatrix.particle_shapes import Shell, SolvedBody
 from nacre.matter.indices.spec import IndexSpec
 

@@ -111,7 +111,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     options = parser.parse_args(arguments)
     limit_s = options.time_limit_s or (MINUTE_S if options.all else 10.0)
-    from nacre.core.parallel import single_threaded_blas
+    from nacre.core.machine import single_threaded_blas
     from nacre.optimise.relief.merit import measure_design
 
     with np.load(REFERENCE / "published_designs.npz") as data:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.core.parallel import single_threaded_blas
+from nacre.core.machine import single_threaded_blas
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.diffraction_orders import coating_reflectance
 from nacre.families.relief.plane_cut import CutGeometry, plan_cut

@@ -21,7 +21,7 @@ from scipy.special import j0
 from scipy.stats import norm
 
 from nacre.core.arrays import Array, ComplexArray
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.families.metasurface.ensemble.ensemble import ANGLES, WIDEST, Ensemble, Side, middle_sizes, same_order
 from nacre.families.metasurface.ensemble.supercells import (
     Coupling,

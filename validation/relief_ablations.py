@@ -31,7 +31,7 @@ begun = time.monotonic()
 from benchmarks import bench_relief_design as tool
 import numpy as np
 from nacre.optimise.relief.merit import measure_design
-from nacre.core.parallel import single_threaded_blas
+from nacre.core.machine import single_threaded_blas
 from nacre.optimise.relief.search import ReliefSearch
 with np.load(tool.REFERENCE / "published_designs.npz") as data:
     designs = {name: data[name] for name in data.files}

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nacre.bsdf.texture import Texture, parse_formula
-from nacre.bsdf.texture_spec import read_grey
+from nacre.bsdf.texture import Texture, parse_formula, read_grey
 from nacre.core.errors import RecipeError
 
 

@@ -4,7 +4,7 @@ import click
 import pytest
 
 from nacre.cli import common, run
-from nacre.core import jobs, parallel
+from nacre.core import jobs, machine
 from nacre.core.progress import on_progress
 
 
@@ -12,7 +12,7 @@ from nacre.core.progress import on_progress
 def asked(monkeypatch):
     questions = []
     monkeypatch.setattr(click, "confirm", lambda text, **_: questions.append(text))
-    monkeypatch.setattr(parallel, "add_progress_listener", lambda listener: None)
+    monkeypatch.setattr(machine, "add_progress_listener", lambda listener: None)
     return questions
 
 
@@ -57,11 +57,11 @@ def test_without_a_terminal_long_work_reports_progress_in_lines(monkeypatch, cap
     looks = [0.0]
     monkeypatch.setattr(common.time, "monotonic", lambda: looks.append(float(next(clock))) or looks[-1])
     monkeypatch.setattr(common.time, "process_time", lambda: 2 * share * looks[-1])
-    monkeypatch.setattr(parallel, "available_jobs", lambda: 2)
-    watchers = list(parallel._progress_listeners)
+    monkeypatch.setattr(machine, "available_jobs", lambda: 2)
+    watchers = list(machine._progress_listeners)
     common.listener(False)("a.toml: 10 patterns: about 3 minutes", seconds)
     for done in range(1, 11):
-        for listener in list(parallel._progress_listeners):
+        for listener in list(machine._progress_listeners):
             listener(done, 10)
     reported = [line for line in capsys.readouterr().err.splitlines() if "of 10 patterns" in line]
     assert len(reported) == lines
@@ -70,7 +70,7 @@ def test_without_a_terminal_long_work_reports_progress_in_lines(monkeypatch, cap
     if lines > 1:
         rest = "70 seconds left" if share == 1.0 else "14 seconds left on free cores, 70 seconds as busy as it is"
         assert reported[0] == f"3 of 10 patterns, about {rest}"
-    assert parallel._progress_listeners == watchers
+    assert machine._progress_listeners == watchers
 
 
 @pytest.mark.parametrize(("least", "expected"), [(-1.0, 1), (1e9, 0)])

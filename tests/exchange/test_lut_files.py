@@ -22,8 +22,7 @@ from nacre.bsdf.lobes.specular import Specular
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.light import spectrum_to_rgb_matrix, srgb_decode
-from nacre.light.tables import illuminant
-from nacre.light.tristimulus import weighted_sum
+from nacre.light.tristimulus import illuminant, weighted_sum
 from nacre.measure.colours import colour_bsdf
 from nacre.recipe.toml import dump_toml
 

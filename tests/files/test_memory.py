@@ -16,7 +16,7 @@ import pytest
 import nacre
 from nacre.analysis.sweep_plan import load_sweep
 from nacre.cli import run
-from nacre.core import memory
+from nacre.core import machine
 from nacre.core.errors import MachineError, UnsupportedError
 from nacre.families.metasurface.monolayer.arrangement import random_sequential
 from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab
@@ -37,7 +37,7 @@ ADDRESS_SPACE = 6 << 30
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Allow 64 MiB."""
-    monkeypatch.setenv(memory.VARIABLE, "64MiB")
+    monkeypatch.setenv(machine.VARIABLE, "64MiB")
 
 
 def relief(folder: Path, **numbers: float) -> Path:
@@ -51,17 +51,17 @@ def relief(folder: Path, **numbers: float) -> Path:
     ("text", "amount"), [("4GiB", 4 << 30), ("500 MB", 500_000_000), ("1.5gib", 3 << 29), ("2147483648", 2 << 30)]
 )
 def test_the_limit_is_written_as_people_write_memory(text: str, amount: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(memory.VARIABLE, text)
-    assert memory.memory_limit() == amount
+    monkeypatch.setenv(machine.VARIABLE, text)
+    assert machine.memory_limit() == amount
 
 
 @pytest.mark.parametrize("text", ["much", "-1GiB", "4 apples", "0", "1e9", "nan", "12", "9" * 40])
 def test_an_amount_that_cannot_be_read_is_one_line(
     text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv(memory.VARIABLE, text)
+    monkeypatch.setenv(machine.VARIABLE, text)
     with pytest.raises(MachineError, match="is not an amount of memory; write it like 4GiB"):
-        memory.memory_limit()
+        machine.memory_limit()
     (tmp_path / "film.toml").write_text(FILM)
     assert run(["spectrum", str(tmp_path / "film.toml"), "--wavelengths-nm", "400:700:1"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
@@ -71,23 +71,23 @@ def test_an_amount_that_cannot_be_read_is_one_line(
 
 
 def test_without_a_limit_a_quarter_of_the_machine_is_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(memory.VARIABLE, raising=False)
-    monkeypatch.setattr(memory, "machine_memory", lambda: 8 << 30)
-    memory.check_memory(2 << 30, "size = 1")
+    monkeypatch.delenv(machine.VARIABLE, raising=False)
+    monkeypatch.setattr(machine, "machine_memory", lambda: 8 << 30)
+    machine.check_memory(2 << 30, "size = 1")
     with pytest.raises(UnsupportedError, match=r"^size = 1 asks for 3 GiB of memory; at most 2 GiB are allowed \("):
-        memory.check_memory(3 << 30, "size = 1")
+        machine.check_memory(3 << 30, "size = 1")
     with pytest.raises(UnsupportedError):
-        memory.check_memory(float("nan"), "size = 1")
+        machine.check_memory(float("nan"), "size = 1")
 
 
 def test_a_container_counts_as_the_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "max").write_text("1073741824\n")
     (tmp_path / "none").write_text("max\n")
-    monkeypatch.setattr(memory, "_CONTAINER_LIMITS", (str(tmp_path / "none"), str(tmp_path / "missing")))
-    whole = memory.machine_memory()
+    monkeypatch.setattr(machine, "_CONTAINER_LIMITS", (str(tmp_path / "none"), str(tmp_path / "missing")))
+    whole = machine.machine_memory()
     assert whole > 1 << 30
-    monkeypatch.setattr(memory, "_CONTAINER_LIMITS", (str(tmp_path / "none"), str(tmp_path / "max")))
-    assert memory.machine_memory() == 1 << 30
+    monkeypatch.setattr(machine, "_CONTAINER_LIMITS", (str(tmp_path / "none"), str(tmp_path / "max")))
+    assert machine.machine_memory() == 1 << 30
 
 
 def refused(arguments: list[str], folder: Path) -> str:

@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from nacre import __version__
-from nacre.core import files, memory, parallel
+from nacre.core import files, machine
 from nacre.core.errors import NacreError
 from nacre.device import doctor
 from nacre.formats.lut import new_folder
@@ -27,8 +27,8 @@ def test_memory_and_cores_are_estimated_where_the_system_does_not_state_them(mon
     monkeypatch.delattr(os, "sysconf", raising=False)
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
-    assert 0 < memory.machine_memory() <= memory.UNKNOWN_MACHINE
-    assert parallel.available_jobs() == os.cpu_count()
+    assert 0 < machine.machine_memory() <= machine.UNKNOWN_MACHINE
+    assert machine.available_jobs() == os.cpu_count()
     assert doctor._memory().state == "note"
 
 

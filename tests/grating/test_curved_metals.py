@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.core.parallel import single_threaded_blas
+from nacre.core.machine import single_threaded_blas
 from nacre.matter.periodic.crossed_solver import solve_fourier
 from nacre.matter.periodic.element_mesh import Oval, edge_count
 from nacre.matter.periodic.element_solver import ELEMENT_STEPS, SEVERAL_WALLS, solve_ovals

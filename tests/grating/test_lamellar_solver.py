@@ -11,7 +11,7 @@ from helpers_grating import recipe, reference
 
 import nacre
 from nacre.core.arrays import interpolate
-from nacre.core.parallel import single_threaded_blas
+from nacre.core.machine import single_threaded_blas
 from nacre.matter.periodic.lamellar_solver import solve_lamellar
 from nacre.matter.periodic.order_tables import order_tables
 from nacre.matter.periodic.scattering_matrix import tangent_over_root

@@ -11,7 +11,7 @@ import pytest
 from helpers_grating import check_resumed_table
 
 import nacre
-from nacre.core.parallel import single_threaded_blas
+from nacre.core.machine import single_threaded_blas
 from nacre.matter.periodic import crossed_solver, order_tables
 from nacre.matter.periodic.element_solver import solve_ovals
 from nacre.matter.periodic.order_responses import (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.core.parallel import single_threaded_blas
+from nacre.core.machine import single_threaded_blas
 from nacre.matter.periodic import line_elements
 from nacre.matter.periodic.lamellar_solver import solve_lamellar
 from nacre.matter.periodic.line_elements import solve_elements

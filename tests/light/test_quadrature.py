@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nacre.core.quadrature import EIGENVALUE_NODES, gauss_legendre
+from nacre.core.arrays import EIGENVALUE_NODES, gauss_legendre
 
 
 @pytest.mark.parametrize("count", [3, EIGENVALUE_NODES, EIGENVALUE_NODES + 1, 400, 1999])

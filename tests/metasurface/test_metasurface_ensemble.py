@@ -11,7 +11,7 @@ from validation.metasurface_ensembles import light
 
 from nacre.bsdf import Bsdf
 from nacre.core.errors import NacreError
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.core.progress import on_progress
 from nacre.families.metasurface import material as model_selection
 from nacre.families.metasurface.ensemble import ensemble

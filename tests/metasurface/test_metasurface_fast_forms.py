@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import hankel1e, hankel2e, jv
 
-from nacre.core.parallel import in_threads, single_threaded_blas
+from nacre.core.machine import in_threads, single_threaded_blas
 from nacre.families.metasurface.monolayer import translation_sums
 from nacre.families.metasurface.monolayer.diffuse import pair_powers
 from nacre.families.metasurface.monolayer.qca import chebyshev, mean_excitation

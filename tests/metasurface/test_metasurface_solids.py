@@ -9,7 +9,7 @@ from validation._metasurface_helpers import cross_sections
 
 import nacre
 from nacre.cli import run
-from nacre.core.parallel import single_threaded_blas
+from nacre.core.machine import single_threaded_blas
 from nacre.families.metasurface.tmatrix import particle_shapes
 from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks, gain, mirror_signs
 from nacre.families.metasurface.tmatrix.particle_on_stack import (

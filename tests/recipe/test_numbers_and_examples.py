@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.bsdf.texture import parse_formula
+from nacre.bsdf.texture import parse_formula, uses_time, with_values
 from nacre.cli import run
 from nacre.core.errors import NacreError, RecipeError
 from nacre.material.examples import copy_examples, examples, examples_folder, find_example
-from nacre.recipe.named_numbers import uses_time, with_values
 
 FORMULA = "100 + 500*v^drain + 40*sin(drain*u) + t"
 

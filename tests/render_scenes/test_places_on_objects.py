@@ -10,7 +10,7 @@ import pytest
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.bsdf.texture_spec import TextureSpec
+from nacre.bsdf.texture import TextureSpec
 from nacre.core.errors import NacreError
 from nacre.picture.scenes.catalogue import Part
 from nacre.picture.shapes.mesh import bounding_ball, rotation

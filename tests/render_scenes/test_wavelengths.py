@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.light.tables import observer, table_wavelengths_nm
+from nacre.light.tristimulus import observer, table_wavelengths_nm
 
 pytestmark = pytest.mark.render
 

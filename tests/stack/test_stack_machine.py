@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import nacre
-from nacre.core import parallel
+from nacre.core import machine
 
 SOURCE = Path(nacre.__file__).resolve().parent
 
@@ -93,9 +93,9 @@ def test_numba_is_imported_by_the_first_call_of_a_kernel_and_not_before() -> Non
 
 def test_the_number_of_threads_can_be_set_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
-    assert parallel.available_jobs() == 3
+    assert machine.available_jobs() == 3
     monkeypatch.delenv("NUMBA_NUM_THREADS")
-    assert parallel.available_jobs() >= 1
+    assert machine.available_jobs() >= 1
 
 
 def test_work_is_shared_without_gaps_or_overlaps() -> None:
@@ -105,14 +105,14 @@ def test_work_is_shared_without_gaps_or_overlaps() -> None:
         def visit(a: int, b: int, c: int, d: int, done: list[tuple[int, int]] = done) -> None:
             done.extend((i, j) for i in range(a, b) for j in range(c, d))
 
-        parallel.parallel_for(visit, batch, angles, 10**9, count)
+        machine.parallel_for(visit, batch, angles, 10**9, count)
         assert sorted(done) == [(i, j) for i in range(batch) for j in range(angles)]
 
 
 @pytest.mark.parametrize(("batch", "angles"), [(9, 2), (2, 9), (8, 1)])
 def test_work_is_cut_along_the_longer_side(batch: int, angles: int) -> None:
     pieces: list[tuple[int, int, int, int]] = []
-    parallel.parallel_for(lambda *piece: pieces.append(piece), batch, angles, 10**9, 4)
+    machine.parallel_for(lambda *piece: pieces.append(piece), batch, angles, 10**9, 4)
     assert len(pieces) >= 4  # each thread has something to do
     assert all((b - a, d - c)[batch >= angles] == min(batch, angles) for a, b, c, d in pieces)
 
@@ -122,4 +122,4 @@ def test_an_error_in_a_thread_reaches_the_caller() -> None:
         raise ValueError("lost")
 
     with pytest.raises(ValueError, match="lost"):
-        parallel.parallel_for(fail, 8, 1, 10**9, 2)
+        machine.parallel_for(fail, 8, 1, 10**9, 2)

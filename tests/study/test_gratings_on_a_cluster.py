@@ -14,7 +14,7 @@ from helpers_study import dask_over_tcp
 import nacre
 from nacre.cli import run
 from nacre.core.jobs import Workers, on_cluster
-from nacre.core.parallel import on_progress
+from nacre.core.machine import on_progress
 
 SINE: dict[str, Any] = {
     "family": "grating", "substrate": "Al", "profile": {"shape": "sinusoidal", "depth_nm": 80},

@@ -16,7 +16,7 @@ import nacre
 from nacre.bsdf import Bsdf
 from nacre.cli import run
 from nacre.core.jobs import Workers, on_cluster
-from nacre.core.parallel import on_progress
+from nacre.core.machine import on_progress
 
 ENSEMBLE: dict[str, Any] = {
     "family": "metasurface", "substrate": {"n": 1.5, "k": 0.01}, "particle": {"material": "Ag", "radius_nm": 90},

@@ -13,7 +13,7 @@ from nacre.analysis.report import ColourTable, Comparison, Report
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.errors import UnsupportedError
 from nacre.core.html import render_page
-from nacre.light.colour_differences import DIN_6175
+from nacre.light.colour_spaces import DIN_6175
 from nacre.material.material import Material
 from nacre.measure.colours import colour_spectrum
 from nacre.measure.texture import texture_document, texture_rows

@@ -39,8 +39,7 @@ from nacre.formats.lut import (
     lobe_weight,
 )
 from nacre.light import delta_e_2000, spectrum_to_rgb_matrix, srgb_linear_to_xyz, xyz_to_lab
-from nacre.light.tables import Illuminant, illuminant
-from nacre.light.tristimulus import weighted_sum
+from nacre.light.tristimulus import Illuminant, illuminant, weighted_sum
 from nacre.material.material import Material, StoredBsdf
 from nacre.measure.colours import Gloss, colour_bsdf, find_gloss, fit_lobes
 from nacre.measure.evaluate import evaluate_with_error, hemispherical

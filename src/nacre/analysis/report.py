@@ -29,7 +29,7 @@ from nacre.light import (
     white_xyz,
     xyz_to_lab,
 )
-from nacre.light.colour_differences import DIN_6175
+from nacre.light.colour_spaces import DIN_6175
 from nacre.material.material import MaterialLike, as_material
 from nacre.measure import geometry
 from nacre.measure.colours import colour_bsdf, recipe_geometries

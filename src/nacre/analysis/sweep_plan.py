@@ -19,7 +19,7 @@ from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import read_text
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 from nacre.light import lab_to_xyz, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material, load
 from nacre.measure.colours import colour_spectrum, geometry_colours, recipe_geometries

@@ -22,9 +22,8 @@ from nacre.bsdf.facet_distributions import (
 )
 from nacre.bsdf.lobes.microfacet import Microfacet, local_azimuth
 from nacre.bsdf.response import InterfaceResponse
-from nacre.core.arrays import Array, cell, direction, node_coordinate, take_uniform
+from nacre.core.arrays import Array, cell, direction, gauss_legendre, node_coordinate, take_uniform
 from nacre.core.errors import UnsupportedError
-from nacre.core.quadrature import gauss_legendre
 
 LOSS_NODES = 41  # over sqrt(cos): 3e-4 of energy at alpha 0.1 ... 1
 MOST_AZIMUTH_NODES = 49  # over cos^2 of the azimuth: 4 alpha_x/alpha_y + 1, since the loss varies faster with it

@@ -31,7 +31,7 @@ from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import ParameterAxis, Texture, at_the_middle, parse_formula
 from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path, plain, why_unreadable
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 
 FORMAT = "nacre-bsdf"
 VERSION = 1

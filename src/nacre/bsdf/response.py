@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.texture import ParameterAxis, places
-from nacre.core.arrays import Array, interpolate, node_coordinate, take_at
-from nacre.core.quadrature import gauss_legendre
+from nacre.core.arrays import Array, gauss_legendre, interpolate, node_coordinate, take_at
 
 SIDES = "reflectance_inside", "reflectance", "transmittance"
 ROUNDING = 1e-9  # largest rounding below 0

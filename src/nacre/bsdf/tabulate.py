@@ -12,7 +12,7 @@ from nacre.bsdf.response import FINEST_LEVEL, InterfaceResponse, is_uniform
 from nacre.bsdf.texture import ParameterAxis
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 from nacre.light import delta_e_2000, spans_colour, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.matter.stack import solve as solver
 from nacre.matter.stack.incoherent import incoherent_powers

@@ -109,8 +109,8 @@ def report(
     from nacre.analysis.html_report import dump_json, report_html, report_text
     from nacre.analysis.report import compare, compare_with_colours, make_report, read_geometries
     from nacre.core.files import check_output, write_text
-    from nacre.core.parallel import on_progress
-    from nacre.light.colour_differences import check_formula
+    from nacre.core.machine import on_progress
+    from nacre.light.colour_spaces import check_formula
 
     if len(recipes) > MOST_RECIPES:
         raise NacreError(f"report takes 1 to {MOST_RECIPES} recipes, not {len(recipes)}")

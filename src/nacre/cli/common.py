@@ -366,7 +366,7 @@ def _report() -> None:
 
     On a busy machine both the wall time and the time on free cores are reported.
     """
-    from nacre.core import parallel
+    from nacre.core import machine
     from nacre.core.progress import duration
 
     begun = said = time.monotonic()
@@ -376,27 +376,27 @@ def _report() -> None:
         nonlocal said
         now = time.monotonic()
         if done == total:
-            parallel.remove_progress_listener(report)
+            machine.remove_progress_listener(report)
             say(f"{total} of {total} patterns, after {duration(now - begun)}")
         elif now - said >= PACE_S:
             said = now
             rest = (total - done) / done
-            by_clock, free = rest * (now - begun), rest * (time.process_time() - spent) / parallel.available_jobs()
+            by_clock, free = rest * (now - begun), rest * (time.process_time() - spent) / machine.available_jobs()
             left = f"about {duration(by_clock)} left"
             if by_clock > BUSY * free:
                 left = f"about {duration(free)} left on free cores, {duration(by_clock)} as busy as it is"
             say(f"{done} of {total} patterns, {left}")
 
-    parallel.add_progress_listener(report)
+    machine.add_progress_listener(report)
 
 
 def _follow() -> None:
     """Show the number of finished parts on one line."""
-    from nacre.core import parallel
+    from nacre.core import machine
 
     def report(done: int, total: int) -> None:
         click.echo(f"\r{one_line(f'{done} of {total} patterns')} ", nl=done == total, err=True)
         if done == total:
-            parallel.remove_progress_listener(report)
+            machine.remove_progress_listener(report)
 
-    parallel.add_progress_listener(report)
+    machine.add_progress_listener(report)

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from nacre.bsdf.texture_spec import TextureSpec
+from nacre.bsdf.texture import TextureSpec
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.families.registry import family_names, family_spec
 from nacre.matter.indices.anisotropic_spec import AnisotropicSpec
@@ -87,7 +87,7 @@ def editor_schema(name: str | None = None) -> dict[str, Any]:
     Raises:
         NacreError: the file type does not exist.
     """
-    from nacre.recipe.schema import json_schema, one_of_files
+    from nacre.recipe.keys import json_schema, one_of_files
 
     if name is not None:
         found = kind(name)

@@ -20,7 +20,7 @@ from typing import Any
 
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import read_text
-from nacre.core.parallel import available_jobs, in_threads, notify_progress, on_progress, single_threaded_blas
+from nacre.core.machine import available_jobs, in_threads, notify_progress, on_progress, single_threaded_blas
 from nacre.core.progress import Clock, announce, duration
 
 Task = Callable[[Any, Any], Any]  # (shared, item) -> result; a function of a module, so that workers can import it

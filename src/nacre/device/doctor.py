@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from nacre._version import __version__
 from nacre.core.errors import MachineError
-from nacre.core.memory import VARIABLE, memory_limit, shown_bytes
+from nacre.core.machine import VARIABLE, memory_limit, shown_bytes
 
 if TYPE_CHECKING:
     from nacre.device.variant import VariantReport

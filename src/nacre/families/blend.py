@@ -13,8 +13,7 @@ from pydantic import Field
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.lobes.masked import MaskedLobe
-from nacre.bsdf.texture import Texture
-from nacre.bsdf.texture_spec import NumberOrTexture, TextureSpec
+from nacre.bsdf.texture import NumberOrTexture, Texture, TextureSpec
 from nacre.core.arrays import Array
 from nacre.families.contract import EnergyDefect, Mixed, Model, Traits, energy_defect
 from nacre.recipe.model import RecipeContext, RecipeModel

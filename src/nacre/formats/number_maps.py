@@ -16,7 +16,7 @@ from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path, check_writable, write_text
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 from nacre.formats.layouts import LARGEST_GREY, MAX_LEVELS, is_monotonic, read_curve, write_levels
 
 # Parameter maps over a surface as fabrication files: grey images, level masks, tables.

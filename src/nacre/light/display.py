@@ -14,10 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
-from nacre.light import spaces
-from nacre.light.colour_differences import delta_e_76, delta_e_2000
-from nacre.light.tables import Illuminant
-from nacre.light.tristimulus import spectrum_to_xyz, weighted_sum, white_xyz, xyz_weights
+from nacre.light import colour_spaces as spaces
+from nacre.light.colour_spaces import delta_e_76, delta_e_2000
+from nacre.light.tristimulus import Illuminant, spectrum_to_xyz, weighted_sum, white_xyz, xyz_weights
 
 if TYPE_CHECKING:
     pass

@@ -28,13 +28,13 @@ from nacre._version import __version__
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.polarisation import InterfacePolarisation
-from nacre.bsdf.texture import refuse_place
+from nacre.bsdf.texture import named_numbers, refuse_new_number, refuse_place
 from nacre.core import disk_cache
 from nacre.core.arrays import Array, floats, wavelength_grid
 from nacre.core.disk_cache import cache_arrays, cached, cached_arrays
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import DESIGN_RECIPE, named, read_text, short_name
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 from nacre.families.contract import (
     ExcessEnergy,
     ExpensiveMethod,
@@ -53,7 +53,6 @@ from nacre.matter.indices.library import lone_axes
 from nacre.measure.evaluate import bsdf_spectrum
 from nacre.recipe.fingerprint import file_digest, fingerprint
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
-from nacre.recipe.named_numbers import named_numbers, refuse_new_number
 from nacre.recipe.paths import NUMBERS, find_by_path, numbers_of, set_by_path, varying_numbers
 from nacre.recipe.toml import dump_toml, open_all, open_parts, parse_toml, plain_data
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from pydantic_core import SchemaValidator, core_schema
 
+from nacre.bsdf.texture import refuse_new_number
 from nacre.core.errors import NacreError, RecipeError
 from nacre.recipe.model import RecipeContext, RecipeModel, Snapshot, length_factor, scale_length, spellings
-from nacre.recipe.named_numbers import refuse_new_number
 from nacre.recipe.paths import NUMBERS, find_by_path, path_keys, set_by_path
 from nacre.recipe.toml import plain_data
 

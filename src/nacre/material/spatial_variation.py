@@ -17,8 +17,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.lobes.masked import MaskedLobe, hat
 from nacre.bsdf.tabulate import comparison_xyz
-from nacre.bsdf.texture import Texture
-from nacre.bsdf.texture_spec import TextureSpec, read_grey
+from nacre.bsdf.texture import Texture, TextureSpec, read_grey
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Figure, Model, Traits

@@ -18,7 +18,7 @@ from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array, direction, floats
 from nacre.core.errors import UnsupportedError
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 
 logger = logging.getLogger("nacre")
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.core.parallel import available_jobs, single_threaded_blas
+from nacre.core.machine import available_jobs, single_threaded_blas
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, white_xyz, xyz_to_srgb_linear
 from nacre.picture.plugin import Plugin, dr, make_plugin, mi
 from nacre.picture.samples import Real, smooth

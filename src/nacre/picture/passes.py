@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 from nacre.core.progress import Clock, ProgressCallback
 from nacre.device.variant import depolarised
 from nacre.light import xyz_weights
-from nacre.light.tables import observer, table_wavelengths_nm
+from nacre.light.tristimulus import observer, table_wavelengths_nm
 from nacre.picture import interrupt
 from nacre.picture.camera import View
 from nacre.picture.denoise import (

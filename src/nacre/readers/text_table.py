@@ -16,7 +16,7 @@ import numpy as np
 
 from nacre.core.errors import NacreError
 from nacre.core.files import plain, why_unreadable
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 from nacre.readers.measurement import utf_16_order
 from nacre.readers.units import Floats, normal, parse_unit
 

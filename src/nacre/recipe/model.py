@@ -305,7 +305,7 @@ class RecipeModel(pydantic.BaseModel):
     varies: ClassVar[str] = ""  # of a family: numbers that may be textures or formulas, for messages
     varies_by_nodes: ClassVar[tuple[str, ...]] = ()  # paths that are solved at nodes and interpolated
     zero_drops: ClassVar[tuple[str, ...]] = ()  # numbers whose table is removed if a search sets them to 0
-    # for the reference and for editors; see `keys.py` and `schema.py`
+    # for the reference and for editors; see `keys.py`
     noun: ClassVar[str] = ""  # name of a table that is used in many places, such as "optical constant"
     forms: ClassVar[tuple[str, ...]] = ()  # all forms of the table, as TOML
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ()  # JSON Schemas of alternatives to the table

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.bsdf import Bsdf
+from nacre.bsdf.texture import TIME, uses_time
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path, check_writable, output_folder, plain, why_unreadable
 from nacre.core.jobs import Workers, run_jobs
@@ -32,7 +33,6 @@ from nacre.picture.lights.emitter_plugins import read_lamps
 from nacre.picture.options import KEYWORDS, read_background
 from nacre.picture.picture import render, resolve_material
 from nacre.recipe.fingerprint import file_digest, fingerprint
-from nacre.recipe.named_numbers import TIME, uses_time
 from nacre.recipe.paths import NUMBERS
 
 TURNS = ("light", "view")

@@ -24,8 +24,7 @@ from nacre import light
 from nacre.bsdf import Bsdf
 from nacre.bsdf.facet_distributions import Roughness
 from nacre.bsdf.lobes.microfacet import Microfacet
-from nacre.bsdf.texture import Texture, refuse_place
-from nacre.bsdf.texture_spec import TextureSpec
+from nacre.bsdf.texture import Texture, TextureSpec, refuse_place
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families import contract

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from nacre.bsdf.lobe import Lobe
 from nacre.core.arrays import Array, take_uniform
 from nacre.core.jit import compiled
-from nacre.core.parallel import parallel_for
+from nacre.core.machine import parallel_for
 
 LEAST_COSINE = 1e-6  # lower limit of the cosines, to avoid division by zero
 CHUNK = 1 << 16  # directions per chunk

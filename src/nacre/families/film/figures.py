@@ -14,7 +14,7 @@ from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Figure
 from nacre.families.film.material import COLOUR_COSINES, Film
 from nacre.light import delta_e_2000
-from nacre.light.tables import REFERENCE_NM
+from nacre.light.tristimulus import REFERENCE_NM
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.stack import solve as solver

@@ -10,8 +10,7 @@ import numpy as np
 import pydantic
 from pydantic import Field
 
-from nacre.bsdf.texture import Texture
-from nacre.bsdf.texture_spec import TextureSpec, texture_or_number
+from nacre.bsdf.texture import Texture, TextureSpec, texture_or_number
 from nacre.families.film.material import FilmLayer
 from nacre.matter.indices.anisotropic_spec import AnisotropicSpec, MediumSpec
 from nacre.matter.indices.constant import OpticalConstant

@@ -31,14 +31,13 @@ from nacre.bsdf.tabulate import (
 )
 from nacre.bsdf.tabulate_anisotropic import AnisotropicTables
 from nacre.bsdf.texture import ParameterAxis, Texture
-from nacre.core.arrays import Array, direction, take_uniform
+from nacre.core.arrays import Array, direction, gauss_legendre, take_uniform
 from nacre.core.errors import UnsupportedError
-from nacre.core.memory import check_memory
-from nacre.core.quadrature import gauss_legendre
+from nacre.core.machine import check_memory
 from nacre.families.contract import STOKES, Polarised, Traits
 from nacre.families.film.ridges import Ridges, remainder
 from nacre.light import default_wavelengths, delta_e_2000
-from nacre.light.tables import STEPS_NM
+from nacre.light.tristimulus import STEPS_NM
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.stack.polarised import Helix, PolarisedResponse

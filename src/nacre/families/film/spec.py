@@ -13,8 +13,7 @@ import pydantic
 from pydantic import Field
 
 from nacre.bsdf.facet_distributions import Roughness, alpha_from_exponent, check_widths
-from nacre.bsdf.texture import Texture, parse_formula
-from nacre.bsdf.texture_spec import NumberOrTexture, TextureSpec, texture_or_number
+from nacre.bsdf.texture import NumberOrTexture, Texture, TextureSpec, parse_formula, texture_or_number
 from nacre.families.contract import Fabricable, Figure
 from nacre.families.film.figures import FIGURES
 from nacre.families.film.layer_spec import (

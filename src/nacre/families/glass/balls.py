@@ -26,7 +26,7 @@ from nacre.bsdf.lobes.platelet_layer import reflected
 from nacre.bsdf.random_walk import roulette, sample_quantile
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.jit import compiled
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.families.glass.composite import INDEX_NM, Composite
 from nacre.families.glass.medium import GAUSS_NODES, PHASE_NODES, Medium, gauss_rule
 from nacre.matter.indices.constant import OpticalConstant

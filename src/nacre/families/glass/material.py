@@ -19,7 +19,7 @@ from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.substrate import Substrate
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.families.contract import DirectEvaluation, Figure, Model, SearchFidelity, Strata, Surrogate, Traits
 from nacre.families.glass.balls import Balls
 from nacre.families.glass.composite import Composite, EffectiveDispersion

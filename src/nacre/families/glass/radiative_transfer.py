@@ -19,7 +19,7 @@ import numpy as np
 
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.core.arrays import Array
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.families.glass.medium import Medium, gauss_rule
 
 OPEN_NODES, TRAPPED_NODES = 20, 14

@@ -21,7 +21,7 @@ from nacre.bsdf.lobes.platelet_layer import masking, reflected
 from nacre.bsdf.random_walk import roulette, sample_facet, sample_inner_facet, sample_quantile
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.families.glass.medium import Medium
 
 CHUNKS = 8  # sums are taken in this order, whatever the thread count

@@ -25,7 +25,7 @@ from nacre.bsdf.lobes.table import TableLobe
 from nacre.bsdf.reciprocity import reciprocal_scaling
 from nacre.bsdf.response import InterfaceResponse
 from nacre.core.arrays import Array, cell
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.families.glass.medium import Medium, gauss_rule
 from nacre.families.glass.radiative_transfer import MATCHED, Slab, brdf_pairs, brdf_table, face
 from nacre.families.glass.random_walk import Face, walk

@@ -16,9 +16,8 @@ from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import is_transparent
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
-from nacre.core.arrays import Array, interpolate, take_uniform
+from nacre.core.arrays import Array, gauss_legendre, interpolate, take_uniform
 from nacre.core.errors import UnsupportedError
-from nacre.core.quadrature import gauss_legendre
 from nacre.families.contract import Diffracting, Fabricable, Pixels, Traits
 from nacre.families.grating.outlines import outlines
 from nacre.matter.drawings import CellField, Drawer, DrawingRequest

@@ -9,7 +9,7 @@ import numpy as np
 import pydantic
 from pydantic import Field
 
-from nacre.bsdf.texture_spec import read_grey
+from nacre.bsdf.texture import read_grey
 from nacre.core.errors import RecipeError
 from nacre.core.files import plain, why_unreadable
 from nacre.matter.indices.spec import IndexSpec

@@ -9,7 +9,7 @@ import numpy as np
 import pydantic
 from pydantic import Field
 
-from nacre.bsdf.texture_spec import TextureSpec
+from nacre.bsdf.texture import TextureSpec
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.families.grating.material import Grating, GratingLayer, Spread, VaryingPeriod

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.facet_distributions import fresnel
-from nacre.core.arrays import Array
-from nacre.core.parallel import single_threaded_blas
-from nacre.core.quadrature import gauss_legendre
+from nacre.core.arrays import Array, gauss_legendre
+from nacre.core.machine import single_threaded_blas
 from nacre.families.pearl.random_walk import Medium
 
 NODES, AZIMUTHS, TERMS = 22, 18, 12

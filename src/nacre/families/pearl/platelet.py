@@ -16,7 +16,7 @@ import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
-from nacre.core.parallel import parallel_for
+from nacre.core.machine import parallel_for
 from nacre.families.pearl.thickness import GAUSSIAN, SHORT_PHASE, TABULATED, Distribution, Thickness, average_platelet
 from nacre.matter.stack.inputs import Amplitudes
 from nacre.matter.stack.solve import amplitudes

@@ -48,7 +48,7 @@ from nacre.bsdf.random_walk import (
 )
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.families.pearl.platelet import lost_share
 
 CHUNKS = 8  # summed in this order, for any thread count

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.bsdf.lobes.platelet_layer import flake_lobe, surface_values
 from nacre.core.arrays import Array
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.families.pearl.doubling import NARROWEST, multiple_scattering
 from nacre.families.pearl.flake_normals import FlakeNormals, mean_extinction, optical_number, visible_weights
 from nacre.families.pearl.platelet import platelet_response

@@ -21,7 +21,7 @@ from nacre.bsdf.facet_distributions import fresnel, smith_masking, visible_norma
 from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.lobes.platelet_layer import PlateletLayer, surface_values
 from nacre.core.arrays import Array, cell, interpolate, take_uniform
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.families.pearl import random_walk
 from nacre.families.pearl.flake_texture import interface_bend
 

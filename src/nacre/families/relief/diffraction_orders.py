@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 from nacre.families.relief.surface import Tile, largest_step_nm
 
 

@@ -9,11 +9,11 @@ from tokenize import TokenError
 import numpy as np
 from scipy.ndimage import gaussian_filter, zoom
 
-from nacre.bsdf.texture_spec import read_grey
+from nacre.bsdf.texture import read_grey
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import plain, why_unreadable
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 from nacre.families.relief.scan import Scan, Statistics
 from nacre.families.relief.surface import Tile
 from nacre.readers.heights.surface import MOST_HOLES, filled, length_um, plane, roughness, without_plane

@@ -16,8 +16,7 @@ from scipy.ndimage import spline_filter1d
 
 from nacre.bsdf.lobes.spectrum_map import SpectrumMap
 from nacre.core.errors import UnsupportedError
-from nacre.core.memory import check_memory
-from nacre.core.parallel import available_jobs, in_threads
+from nacre.core.machine import available_jobs, check_memory, in_threads
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.diffraction_orders import (
     Prefactor,

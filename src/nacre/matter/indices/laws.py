@@ -11,8 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from nacre.core.arrays import Array, ComplexArray
-from nacre.core.quadrature import gauss_legendre
+from nacre.core.arrays import Array, ComplexArray, gauss_legendre
 from nacre.matter.indices.models import EV_NM, EVERYWHERE_NM, Dispersion, Oscillators
 
 PANEL_NODES = 24  # of the quadrature between two break points

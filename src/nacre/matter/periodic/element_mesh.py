@@ -16,7 +16,7 @@ import scipy.sparse
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from nacre.core.quadrature import gauss_legendre
+from nacre.core.arrays import gauss_legendre
 from nacre.matter.periodic.structure import Cell
 from nacre.matter.periodic.types import Array
 

@@ -21,7 +21,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from nacre.core.quadrature import gauss_legendre
+from nacre.core.arrays import gauss_legendre
 from nacre.matter.periodic.line_basis import LineMesh, assemble, gauss_values, regions
 from nacre.matter.periodic.scattering_matrix import outgoing_root, scatter, tangent_over_root, uniform_modes
 from nacre.matter.periodic.structure import (

@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 import scipy.linalg
 
-from nacre.core.quadrature import gauss_legendre
+from nacre.core.arrays import gauss_legendre
 from nacre.matter.periodic.types import Array
 
 GRADING = 0.18  # ratio of the sizes of neighbouring elements

@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
-from nacre.core.quadrature import gauss_legendre
+from nacre.core.arrays import gauss_legendre
 from nacre.matter.periodic.lamellar_solver import values_at
 from nacre.matter.periodic.line_basis import GRADING, assemble, gauss_values, plane_waves
 from nacre.matter.periodic.scattering_matrix import outgoing_root

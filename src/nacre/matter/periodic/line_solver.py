@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nacre.core.quadrature import gauss_legendre
+from nacre.core.arrays import gauss_legendre
 from nacre.matter.periodic.lamellar_modes import layer_modes, line_modes
 from nacre.matter.periodic.lamellar_solver import flat_orders, is_patterned, values_at
 from nacre.matter.periodic.line_basis import (

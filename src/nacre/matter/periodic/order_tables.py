@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
 from nacre.core.jobs import in_workers
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.matter.periodic.crossed_solver import box_symmetries
 from nacre.matter.periodic.order_responses import (
     EXPENSIVE,

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from nacre.core.quadrature import gauss_legendre
+from nacre.core.arrays import gauss_legendre
 from nacre.matter.periodic.line_basis import LineMesh, folded, gauss_values
 from nacre.matter.periodic.types import Array
 

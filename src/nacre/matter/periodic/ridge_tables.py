@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from nacre.core.disk_cache import cache_arrays, cached_arrays
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.matter.periodic.supercell import (
     RidgeStatistics,
     array_factor,

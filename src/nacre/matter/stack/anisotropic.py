@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
-from nacre.core.parallel import parallel_for
+from nacre.core.machine import parallel_for
 from nacre.matter.stack.anisotropic_kernel import SEPARATION, solve_stacks
 from nacre.matter.stack.solve import mueller
 

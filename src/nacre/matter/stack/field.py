@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.jit import compiled
-from nacre.core.parallel import parallel_for
+from nacre.core.machine import parallel_for
 from nacre.matter.stack.inputs import StackArrays, prepare
 from nacre.matter.stack.kernel import TWO_PI, kz_squared, robust_factors, sqrt_decaying
 

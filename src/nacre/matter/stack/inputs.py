@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.jit import is_spared
-from nacre.core.parallel import parallel_for
+from nacre.core.machine import parallel_for
 
 
 def decaying_root(z: ComplexArray) -> ComplexArray:

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nacre.bsdf.texture_spec import LARGEST_16_BIT, opacity, upright
+from nacre.bsdf.texture import LARGEST_16_BIT, opacity, upright
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.core.files import atomic_path, plain, why_unreadable
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 from nacre.formats.layouts import LARGEST_GREY
 from nacre.formats.number_maps import DEFAULT_PIXEL_UM, write_png16, write_tiff16
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.light import delta_e_2000
 from nacre.measure.evaluate import DEFAULT_SAMPLES
 from nacre.optimise.merit import MeritFunction

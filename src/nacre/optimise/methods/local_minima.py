@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.optimise.methods.broyden import Descent, descend
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.core.parallel import single_threaded_blas
+from nacre.core.machine import single_threaded_blas
 from nacre.families.contract import Surrogate
 from nacre.light import delta_e_2000, lamp_lines_nm, with_lamp_lines
 from nacre.measure.evaluate import DEFAULT_SAMPLES, evaluate_with_error

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nacre.bsdf.texture_spec import LARGEST_16_BIT, opacity, upright
+from nacre.bsdf.texture import LARGEST_16_BIT, opacity, upright
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError, did_you_mean
 from nacre.core.files import plain, why_unreadable

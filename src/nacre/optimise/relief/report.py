@@ -19,7 +19,7 @@ from nacre.core.arrays import Array
 from nacre.core.files import atomic_path, write_text
 from nacre.core.html import png_uri, render_page
 from nacre.core.jit import seconds_compiled
-from nacre.core.parallel import available_jobs, single_threaded_blas
+from nacre.core.machine import available_jobs, single_threaded_blas
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Tile, assess, blur_matrix, slopes
 from nacre.light import delta_e_2000, srgb_linear_to_xyz, xyz_to_lab

@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.core.parallel import single_threaded_blas
+from nacre.core.machine import single_threaded_blas
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.optimise.checkpoint import Checkpointer, unreadable
 from nacre.optimise.problem import BudgetExhausted, Changes, Search

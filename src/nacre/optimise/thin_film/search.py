@@ -19,7 +19,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.core.parallel import available_jobs
+from nacre.core.machine import available_jobs
 from nacre.light import delta_e_2000_components
 from nacre.matter.stack.thickness_gradient import scratch, spectra_and_gradients
 from nacre.optimise.merit import MeritFunction

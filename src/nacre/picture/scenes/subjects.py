@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import plain, why_unreadable
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 from nacre.picture.camera import View
 from nacre.picture.scenes.catalogue import MESH_SUFFIXES, SHAPES, Part, Scene
 from nacre.picture.shapes.mesh import Mesh, face_normals, merge, open_seam, outward

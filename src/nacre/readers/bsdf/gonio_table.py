@@ -18,7 +18,7 @@ import numpy as np
 from nacre.core.arrays import Array, angles_deg, from_half_difference
 from nacre.core.errors import NacreError
 from nacre.core.files import plain, why_unreadable
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import LIKELY, FileHead
 from nacre.readers.text_table import decode, rows

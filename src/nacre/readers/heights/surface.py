@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.files import plain, why_unreadable
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import open_file, recognise
 

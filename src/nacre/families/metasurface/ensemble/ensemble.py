@@ -24,8 +24,7 @@ from scipy.spatial import cKDTree
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
 from nacre.core.jobs import in_workers, is_on_cluster
-from nacre.core.memory import check_memory
-from nacre.core.parallel import available_jobs
+from nacre.core.machine import available_jobs, check_memory
 from nacre.core.progress import announce, duration
 from nacre.families.metasurface.ensemble.supercells import (
     Coupling,

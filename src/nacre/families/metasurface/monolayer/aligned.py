@@ -22,7 +22,7 @@ from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.monolayer import Aligned, PolarGrid, pack_triangle
 from nacre.bsdf.lobes.specular import AlignedSpecular
 from nacre.core.arrays import Array, ComplexArray
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.families.metasurface.monolayer import evaluation
 from nacre.families.metasurface.monolayer.diffuse import (
     S_HARMONICS,

@@ -20,7 +20,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.files import plain, why_unreadable
 from nacre.core.jit import compiled
-from nacre.core.memory import check_memory
+from nacre.core.machine import check_memory
 from nacre.families.metasurface.monolayer.structure import RANGE_IN_DIAMETERS, Structure
 from nacre.readers.curves import Q_PER_UM, STRUCTURE, X_UM, Y_UM, FileSpec, recipe_curve
 from nacre.recipe.model import RecipeContext

@@ -23,7 +23,7 @@ from nacre.bsdf.lobes.monolayer import Harmonic, PolarGrid, pack_triangle
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.response import InterfaceResponse, is_uniform
 from nacre.core.arrays import Array
-from nacre.core.parallel import in_threads
+from nacre.core.machine import in_threads
 from nacre.families.metasurface.monolayer.diffuse import HARMONICS as HARMONICS_few
 from nacre.families.metasurface.monolayer.diffuse import DiffuseTerm, diffuse_term
 from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import fft, ifft, rfft
 
-from nacre.core.arrays import Array, ComplexArray
+from nacre.core.arrays import Array, ComplexArray, gauss_legendre
 from nacre.core.errors import UnsupportedError
-from nacre.core.quadrature import gauss_legendre
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.monolayer.translation_sums import (
     NeighbourGeometry,

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import j0, j1
 
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, gauss_legendre
 from nacre.core.errors import NacreError
-from nacre.core.quadrature import gauss_legendre
 
 _VIRIAL = (0.1280, 0.0018, -0.0507, -0.0533, -0.0410)
 SCALE_STEPS = 1 << 50  # steps in A between 1 and 2

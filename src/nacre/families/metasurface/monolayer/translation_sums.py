@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import jv
 
-from nacre.core.arrays import Array, ComplexArray
-from nacre.core.quadrature import gauss_legendre
+from nacre.core.arrays import Array, ComplexArray, gauss_legendre
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.tmatrix.axisymmetric import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.special_functions import (

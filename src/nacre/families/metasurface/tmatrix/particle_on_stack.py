@@ -19,9 +19,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.core.arrays import Array, ComplexArray
+from nacre.core.arrays import Array, ComplexArray, gauss_legendre
 from nacre.core.errors import UnsupportedError
-from nacre.core.quadrature import gauss_legendre
 from nacre.families.metasurface.tmatrix.axisymmetric import multipole_order
 from nacre.families.metasurface.tmatrix.special_functions import adjoint, mirrored, plane_wave_vectors
 from nacre.families.metasurface.tmatrix.substrate import Substrate

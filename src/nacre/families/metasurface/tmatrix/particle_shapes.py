@@ -15,7 +15,7 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.disk_cache import cache_arrays, cached_arrays
 from nacre.core.errors import UnsupportedError
 from nacre.core.jit import compiled
-from nacre.core.parallel import in_threads, single_threaded_blas
+from nacre.core.machine import in_threads, single_threaded_blas
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, Body, gain, reciprocal, truncated
 from nacre.families.metasurface.tmatrix.particle_on_stack import AZIMUTHAL_ORDERS
 from nacre.families.metasurface.tmatrix.special_functions import angular_functions, legendre
