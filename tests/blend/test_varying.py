@@ -231,7 +231,7 @@ def test_the_numbers_message_names_them_all() -> None:
 def test_the_plugin_gives_the_arrays_values(recipe: dict[str, Any], path: str, ends: tuple[float, float]) -> None:
     import nacre.render
     from nacre.bsdf import Bsdf
-    from nacre.bsdf.packed_series import ROUNDING
+    from nacre.bsdf.lobes.monolayer import ROUNDING
 
     nacre.render.use_variant()
     from lobe_trials import array_mismatch

@@ -16,11 +16,9 @@ from helpers_bsdf import WAVELENGTHS, dielectric, mirror, random_directions
 from nacre.bsdf import Bsdf, ParameterAxis
 from nacre.bsdf.compensation import compensate
 from nacre.bsdf.file import HEADER, VERSION
-from nacre.bsdf.lobes.diffuse import Diffuse, bare_base
-from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.interface import Diffuse, Microfacet, Specular, bare_base
 from nacre.bsdf.lobes.monolayer import Harmonic
 from nacre.bsdf.lobes.ridge import RidgeTable
-from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.core.errors import NacreError
 from nacre.families.film import Ridges

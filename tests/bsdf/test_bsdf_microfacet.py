@@ -12,8 +12,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.compensation import compensate, facet_transmittance
 from nacre.bsdf.facet_distributions import DISTRIBUTIONS, normal_density, smith_masking, visible_normals
 from nacre.bsdf.lobe import hemisphere_nodes, product_rule
-from nacre.bsdf.lobes.microfacet import Microfacet
-from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.lobes.interface import Microfacet, Specular
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import StackTables
 from nacre.bsdf.texture import Texture, parse_formula

@@ -7,7 +7,7 @@ import pytest
 from helpers_bsdf import WAVELENGTHS, dielectric, fresnel
 
 from nacre.bsdf import Bsdf
-from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.lobes.interface import Specular
 from nacre.bsdf.tabulate import StackTables, is_transparent
 from nacre.core.arrays import interpolate, take_uniform
 from nacre.measure.evaluate import bsdf_spectrum

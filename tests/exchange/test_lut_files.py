@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import nacre
 from nacre.analysis.lut import make_table
-from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.lobes.interface import Specular
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.light import spectrum_to_rgb_matrix, srgb_decode

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from helpers_bsdf import reciprocity_error
 
-from nacre.bsdf.lobes.microfacet import Microfacet
-from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.lobes.interface import Microfacet, Specular
 from nacre.core.arrays import direction
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import figure_data

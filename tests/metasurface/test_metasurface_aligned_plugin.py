@@ -10,7 +10,7 @@ import pytest
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.bsdf.packed_series import ROUNDING, encode
+from nacre.bsdf.lobes.monolayer import ROUNDING, encode
 from nacre.cli import run
 from nacre.core.arrays import direction
 from nacre.material.material import material

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from nacre.bsdf import Bsdf
-from nacre.bsdf.lobes.monolayer import PolarGrid
-from nacre.bsdf.packed_series import ROUNDING, encode
+from nacre.bsdf.lobes.monolayer import ROUNDING, PolarGrid, encode
 from nacre.material.material import material
 
 pytestmark = pytest.mark.render

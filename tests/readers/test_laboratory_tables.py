@@ -11,7 +11,7 @@ from laboratory_tables import VALUES, WAVELENGTHS, as_read, in_unit, is_right, l
 
 import nacre
 from nacre.analysis.fit import read_measurement
-from nacre.bsdf.substrate_spec import SubstrateSpec
+from nacre.bsdf.substrate import SubstrateSpec
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.matter.indices.library import index

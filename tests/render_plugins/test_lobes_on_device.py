@@ -16,10 +16,8 @@ import pytest
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.compensation import compensate
 from nacre.bsdf.lobe import Lobe
-from nacre.bsdf.lobes.diffuse import Diffuse, bare_base
-from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
+from nacre.bsdf.lobes.interface import AlignedMicrofacet, Diffuse, Microfacet, Specular, bare_base
 from nacre.bsdf.lobes.ridge import Ridge, RidgeTable
-from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.registry import LOBES, lobe_kinds, outside_lobe
 from nacre.bsdf.response import InterfaceResponse

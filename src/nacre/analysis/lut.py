@@ -17,9 +17,8 @@ from nacre._version import __version__
 from nacre.bsdf import Bsdf
 from nacre.bsdf.facet_distributions import exits, masking, normal_quadrature
 from nacre.bsdf.lobe import hemisphere_nodes
+from nacre.bsdf.lobes.interface import AlignedMicrofacet, AlignedSpecular, Microfacet, Specular
 from nacre.bsdf.lobes.masked import MaskedLobe
-from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
-from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import ParameterAxis, Texture, refuse_place
 from nacre.core.arrays import Array, direction, take_at

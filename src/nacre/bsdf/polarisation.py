@@ -20,8 +20,7 @@ import numpy as np
 
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.response import InterfaceResponse, ResponseLobe, is_uniform
-from nacre.bsdf.tabulate import StackTables, in_plane_beyond
-from nacre.bsdf.tabulate_anisotropic import SLICE_SHARE, AnisotropicTables
+from nacre.bsdf.tabulate import SLICE_SHARE, AnisotropicTables, StackTables, in_plane_beyond
 from nacre.core.arrays import Array, ComplexArray
 from nacre.matter.stack import solve as solver
 

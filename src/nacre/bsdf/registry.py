@@ -16,16 +16,16 @@ from nacre.core.lazy import entry_points
 GROUP = "nacre.lobes"
 LOBES: dict[str, str] = {
     # kind -> "module:class", imported on first use
-    "specular": "nacre.bsdf.lobes.specular:Specular",
-    "microfacet": "nacre.bsdf.lobes.microfacet:Microfacet",
-    "aligned-microfacet": "nacre.bsdf.lobes.microfacet:AlignedMicrofacet",
-    "diffuse": "nacre.bsdf.lobes.diffuse:Diffuse",
+    "specular": "nacre.bsdf.lobes.interface:Specular",
+    "microfacet": "nacre.bsdf.lobes.interface:Microfacet",
+    "aligned-microfacet": "nacre.bsdf.lobes.interface:AlignedMicrofacet",
+    "diffuse": "nacre.bsdf.lobes.interface:Diffuse",
     "ridge": "nacre.bsdf.lobes.ridge:Ridge",
     "ridge-table": "nacre.bsdf.lobes.ridge:RidgeTable",
     "table": "nacre.bsdf.lobes.table:TableLobe",
     "harmonic": "nacre.bsdf.lobes.monolayer:Harmonic",
     "aligned": "nacre.bsdf.lobes.monolayer:Aligned",
-    "aligned-specular": "nacre.bsdf.lobes.specular:AlignedSpecular",
+    "aligned-specular": "nacre.bsdf.lobes.interface:AlignedSpecular",
     "spectrum-map": "nacre.bsdf.lobes.spectrum_map:SpectrumMap",
     "layered": "nacre.bsdf.lobes.layered:Layered",
     "platelet-layer": "nacre.bsdf.lobes.platelet_layer:PlateletLayer",

@@ -17,9 +17,8 @@ import numpy as np
 
 from nacre.bsdf.bsdf import Bsdf, is_isotropic
 from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.lobes.interface import AlignedMicrofacet, AlignedSpecular
 from nacre.bsdf.lobes.masked import MaskedLobe
-from nacre.bsdf.lobes.microfacet import AlignedMicrofacet
-from nacre.bsdf.lobes.specular import AlignedSpecular
 from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.registry import outside_lobe
 from nacre.bsdf.texture import place_formula
@@ -129,16 +128,16 @@ def update_bsdf(target: Any, bsdf: Bsdf) -> None:
 
 PLUGINS: dict[str, str] = {
     # lobe kind -> "module:class", imported on first use
-    "specular": "nacre.device.lobes.specular:SpecularPlugin",
-    "microfacet": "nacre.device.lobes.microfacet:MicrofacetPlugin",
-    "aligned-microfacet": "nacre.device.lobes.microfacet:AlignedMicrofacetPlugin",
-    "diffuse": "nacre.device.lobes.diffuse:DiffusePlugin",
+    "specular": "nacre.device.lobes.interface:SpecularPlugin",
+    "microfacet": "nacre.device.lobes.interface:MicrofacetPlugin",
+    "aligned-microfacet": "nacre.device.lobes.interface:AlignedMicrofacetPlugin",
+    "diffuse": "nacre.device.lobes.interface:DiffusePlugin",
     "ridge": "nacre.device.lobes.ridge:RidgePlugin",
     "ridge-table": "nacre.device.lobes.ridge:RidgeTablePlugin",
     "table": "nacre.device.lobes.table:TablePlugin",
     "harmonic": "nacre.device.lobes.monolayer:HarmonicPlugin",
     "aligned": "nacre.device.lobes.monolayer:AlignedPlugin",
-    "aligned-specular": "nacre.device.lobes.specular:AlignedSpecularPlugin",
+    "aligned-specular": "nacre.device.lobes.interface:AlignedSpecularPlugin",
     "spectrum-map": "nacre.device.lobes.spectrum_map:SpectrumMapPlugin",
     "layered": "nacre.device.lobes.layered:LayeredPlugin",
     "platelet-layer": "nacre.device.lobes.platelet_layer:PlateletLayerPlugin",

@@ -99,7 +99,7 @@ class Closure:
 
 @dataclass(frozen=True)
 class Facets:
-    """Interface of a film for shaders with the light direction, see `nacre.bsdf.lobes.microfacet`.
+    """Interface of a film for shaders with the light direction, see `nacre.bsdf.lobes.interface`.
 
     Attributes:
         distribution, alpha: facets; alpha is zero for a smooth surface.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from nacre.bsdf.bsdf import Bsdf, Spectrum
-from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.interface import Microfacet
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.light import lamp_lines_nm, spectrum_to_xyz, white_xyz, with_lamp_lines, xyz_to_lab

@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike
 
 from nacre.bsdf import Bsdf, Lobe
 from nacre.bsdf.bsdf import Spectrum
-from nacre.bsdf.lobes.diffuse import Diffuse
+from nacre.bsdf.lobes.interface import Diffuse, Microfacet
 from nacre.bsdf.lobes.masked import MaskedLobe
-from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array, direction, floats
 from nacre.core.errors import UnsupportedError

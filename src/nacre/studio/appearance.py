@@ -23,7 +23,7 @@ import numpy as np
 from nacre import light
 from nacre.bsdf import Bsdf
 from nacre.bsdf.facet_distributions import Roughness
-from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.interface import Microfacet
 from nacre.bsdf.texture import Texture, TextureSpec, refuse_place
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError

@@ -19,7 +19,7 @@ from PIL import Image
 
 from nacre._version import __version__
 from nacre.analysis.lut import make_table, over_azimuth
-from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.interface import Microfacet
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import atomic_path
 from nacre.formats.lut import LightTable, angle_coordinate, template, write_table

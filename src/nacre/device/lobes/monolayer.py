@@ -1,7 +1,7 @@
 """The diffuse light of monolayers on the device: azimuthal series times the sharp structure factor.
 
 Look-up time is bound by cache lines, then by arithmetic. The harmonics of an angle pair at one wavelength are
-therefore packed in two or four words (`packed_series`), next to those of the next wavelength. S is read at each
+therefore packed in two or four words (`EncodedSeries`), next to those of the next wavelength. S is read at each
 wavelength's exact |q|. Directions are drawn from a coarse exit table (`bilinear_sampling`). For aligned particles
 this table depends only on the azimuth difference and is averaged over the rotation; the weights contain the rest.
 """
@@ -16,8 +16,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.lobes.monolayer import Aligned, Harmonic, MonolayerLobe
-from nacre.bsdf.packed_series import DARKEST, PACKET, SHARED, WORD, encode
+from nacre.bsdf.lobes.monolayer import DARKEST, PACKET, SHARED, WORD, Aligned, Harmonic, MonolayerLobe, encode
 from nacre.core.arrays import Array, SingleArray, direction
 from nacre.core.errors import UnsupportedError
 from nacre.device import plugin

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nacre.bsdf.tabulate import reflected_lab
-from nacre.bsdf.tabulate_anisotropic import SLICE_SHARE
+from nacre.bsdf.tabulate import SLICE_SHARE, reflected_lab
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Figure

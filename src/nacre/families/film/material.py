@@ -15,21 +15,19 @@ from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.compensation import aligned_transmittance, compensate, facet_transmittance
 from nacre.bsdf.facet_distributions import SMOOTH_BELOW, Roughness
 from nacre.bsdf.lobe import Lobe
-from nacre.bsdf.lobes.diffuse import Diffuse
-from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
-from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
+from nacre.bsdf.lobes.interface import AlignedMicrofacet, AlignedSpecular, Diffuse, Microfacet, Specular
 from nacre.bsdf.polarisation import InterfacePolarisation, interface_polarisation
 from nacre.bsdf.response import InterfaceResponse, mean_over_azimuth
 from nacre.bsdf.tabulate import (
     COLOUR_ERROR,
     COS_NODES_VARYING,
+    AnisotropicTables,
     StackTables,
     check_size,
     choose_nodes,
     is_transparent,
     reflected_lab,
 )
-from nacre.bsdf.tabulate_anisotropic import AnisotropicTables
 from nacre.bsdf.texture import ParameterAxis, Texture
 from nacre.core.arrays import Array, direction, gauss_legendre, take_uniform
 from nacre.core.errors import UnsupportedError

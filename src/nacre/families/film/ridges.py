@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nacre.bsdf.lobes.diffuse import Diffuse
+from nacre.bsdf.lobes.interface import Diffuse
 from nacre.bsdf.lobes.ridge import Ridge, RidgeTable, chord, gaussian, ridge_interference
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import Texture

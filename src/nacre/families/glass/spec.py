@@ -9,7 +9,7 @@ import numpy as np
 import pydantic
 from pydantic import Field
 
-from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, SubstrateSpec, Widths, interface_roughness, nested_strata
+from nacre.bsdf.substrate import OF_OTHER_FAMILY, SubstrateSpec, Widths, interface_roughness, nested_strata
 from nacre.core.arrays import Array
 from nacre.core.errors import MaterialRangeError, NacreError
 from nacre.families.glass.balls import Balls

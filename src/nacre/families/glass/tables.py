@@ -16,13 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.angle_nodes import AngleErrors
-from nacre.bsdf.compensation import once, returns
+from nacre.bsdf.compensation import once, reciprocal_scaling, returns
 from nacre.bsdf.facet_distributions import Roughness
 from nacre.bsdf.lobe import Lobe
-from nacre.bsdf.lobes.microfacet import Microfacet
-from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.lobes.interface import Microfacet, Specular
 from nacre.bsdf.lobes.table import TableLobe
-from nacre.bsdf.reciprocity import reciprocal_scaling
 from nacre.bsdf.response import InterfaceResponse
 from nacre.core.arrays import Array, cell
 from nacre.core.machine import in_threads

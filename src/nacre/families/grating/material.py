@@ -10,9 +10,8 @@ import numpy as np
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.lobe import Lobe
-from nacre.bsdf.lobes.diffuse import Diffuse
+from nacre.bsdf.lobes.interface import AlignedSpecular, Diffuse, Specular
 from nacre.bsdf.lobes.orders import OrdersLobe, limited_width
-from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import is_transparent
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula

@@ -10,7 +10,7 @@ import pydantic
 from numpy.typing import NDArray
 from pydantic import Field
 
-from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, SubstrateSpec, Widths, interface_roughness, nested_strata
+from nacre.bsdf.substrate import OF_OTHER_FAMILY, SubstrateSpec, Widths, interface_roughness, nested_strata
 from nacre.core.errors import NacreError, RecipeError
 from nacre.families.pearl.flake_normals import FlakeNormals, rotation_matrix
 from nacre.families.pearl.flake_texture import Glints

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.lobes.interface import AlignedSpecular
 from nacre.bsdf.lobes.monolayer import Aligned, PolarGrid, pack_triangle
-from nacre.bsdf.lobes.specular import AlignedSpecular
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.machine import in_threads
 from nacre.families.metasurface.monolayer import evaluation

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.reciprocity import reciprocal_scaling, reciprocal_scaling_across
+from nacre.bsdf.compensation import reciprocal_scaling, reciprocal_scaling_across
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.jit import compiled
 from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer, sum_over

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from nacre.bsdf.angle_nodes import AngleErrors
 from nacre.bsdf.angle_nodes import tabulate as tabulate_nodes
 from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.lobes.interface import Specular
 from nacre.bsdf.lobes.monolayer import Harmonic, PolarGrid, pack_triangle
-from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.response import InterfaceResponse, is_uniform
 from nacre.core.arrays import Array
 from nacre.core.machine import in_threads

@@ -1,4 +1,6 @@
-"""The rough interface: smooth-interface tables with a microfacet normal distribution."""
+"""The interface, smooth or rough, with isotropic or azimuthal tables, and the diffuse base, bare or below a film."""
+
+from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
@@ -8,17 +10,104 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.facet_distributions import DISTRIBUTIONS, exits, masking, normal_density, normal_quadrature
-from nacre.bsdf.lobe import product_rule
+from nacre.bsdf.lobe import Lobe, SpecularResponse, product_rule
 from nacre.bsdf.response import (
     InterfaceResponse,
     ResponseLobe,
     check_over_azimuth,
+    check_parameters,
+    check_wavelengths,
     mean_over_azimuth,
     parameter_coordinates,
 )
-from nacre.bsdf.texture import Texture, places
+from nacre.bsdf.texture import ParameterAxis, Texture, places
 from nacre.core.arrays import Array, interpolate
 from nacre.core.errors import UnsupportedError
+
+
+class InterfaceLobe(ResponseLobe):
+    """A smooth interface: mirror reflection, and refraction with one relative index `response.eta`.
+
+    `eta = 1` (a free film) transmits light undeviated. Both sides may be lit; the tables of an opaque interface are
+    zero inside.
+    """
+
+    @property
+    def is_delta(self) -> bool:
+        """Always True."""
+        return True
+
+    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
+        """Return zeros `[..., wavelength]`: the lobe is a delta distribution."""
+        shape = np.broadcast_shapes(np.shape(wi), np.shape(wo))[:-1]
+        return np.zeros((*shape, len(self.wavelengths_nm)))
+
+
+@dataclass(frozen=True)
+class Specular(InterfaceLobe):
+    """A smooth interface that is isotropic about its normal.
+
+    Attributes:
+        response: the tables, which may be flipped.
+    """
+
+    kind: ClassVar[str] = "specular"
+    response: InterfaceResponse
+
+    def check(self) -> None:
+        """Check the tables; see `InterfaceResponse.check`."""
+        self.response.check()
+
+    def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
+        """Return reflectance and transmittance `[..., wavelength]` for light at `cos_i` (< 0: from behind)."""
+        cos_i = np.asarray(cos_i, dtype=float)
+        inside = (cos_i < 0) != self.response.flipped
+        return SpecularResponse(*self.response.resolved(np.abs(cos_i), inside, uv))
+
+
+@dataclass(frozen=True)
+class AlignedSpecular(InterfaceLobe):
+    """Reflection and refraction as in `Specular`, with azimuth-dependent powers.
+
+    Attributes:
+        response: the tables, with the light's azimuth as a leading axis: uniform nodes from 0 to 2 pi, both ends
+            included; for light from inside, the azimuth of the exit direction.
+        rotation: the surface's rotation about the normal, rad, from +x to +y.
+    """
+
+    kind: ClassVar[str] = "aligned-specular"
+    response: InterfaceResponse
+    rotation: float
+
+    @property
+    def azimuths(self) -> int:
+        """Number of azimuth nodes."""
+        return len(self.response.reflectance)
+
+    def check(self) -> None:
+        """Check the tables.
+
+        Raises:
+            ValueError: names the inconsistent table.
+        """
+        check_over_azimuth(self.response)
+        if not np.isfinite(self.rotation):
+            raise ValueError("the rotation of an aligned interface is not finite")
+
+    def mean(self) -> Specular:
+        """Return the lobe with the means over the azimuth."""
+        return Specular(mean_over_azimuth(self.response))
+
+    def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
+        """Return reflectance and transmittance for light from azimuth 0; see `specular_at`."""
+        return self.specular_at(cos_i, 0.0, uv)
+
+    def specular_at(self, cos_i: Array, phi_rad: Array | float, uv: Array | None = None) -> SpecularResponse:
+        """Return reflectance and transmittance, `[..., wavelength]`; cos_i < 0: light from behind."""
+        cos_i, phi = np.broadcast_arrays(np.asarray(cos_i, dtype=float), np.asarray(phi_rad, dtype=float))
+        inside = cos_i < 0
+        turns = np.mod((phi - self.rotation) / (2 * np.pi) + np.where(inside, 0.5, 0.0), 1.0)
+        return SpecularResponse(*self.response.lookup_at(np.abs(cos_i), inside, (turns * (self.azimuths - 1),)))
 
 
 @dataclass(frozen=True)
@@ -277,3 +366,85 @@ def local_azimuth(w: Array, h: Array) -> Array:
     x, y = w[..., 0], w[..., 1]
     along = w[..., 2] + (x * h[..., 0] + y * h[..., 1]) / (1.0 + h[..., 2])
     return np.asarray(np.arctan2(y - h[..., 1] * along, x - h[..., 0] * along))
+
+
+@dataclass(frozen=True)
+class Diffuse(Lobe):
+    """Lambertian reflection, weighted by the film's transmittance on the way in and out; lit from +z only.
+
+    f = scale(p, lambda) entry(p, cos_i, lambda) entry(p, cos_o, lambda) / pi, zero unless both directions have
+    z > 0. A bare base has entry = 1 and scale = albedo. Below a film with relative index eta, entry is the
+    transmittance over the ambient's cosine, and scale = albedo / (eta^2 (1 - albedo R_inside)) sums the
+    round trips between base and film (R_inside: the film's hemispherical reflectance from below).
+
+    Attributes:
+        wavelengths_nm: `[wavelength]`, ascending.
+        scale: `[*params, wavelength]`.
+        entry: `[*params, cos, wavelength]` over uniform nodes in the ambient's cosine from 0 to 1, linear;
+            one node (constant 1) for a bare base.
+        parameters: the texture-driven axes.
+        under_smooth: `[*params, cos, wavelength]`, the base's total reflection through the smooth film, over the
+            ambient's cosine. Spectra add it to the smooth film's specular values, since `entry` is averaged over the
+            facets of a rough film; unset if the two agree.
+    """
+
+    kind: ClassVar[str] = "diffuse"
+    wavelengths_nm: Array
+    scale: Array
+    entry: Array
+    parameters: tuple[ParameterAxis, ...] = ()
+    under_smooth: Array | None = None
+
+    AXES: ClassVar[dict[str, str]] = {
+        "wavelengths_nm": "wavelength",
+        "scale": "*params wavelength",
+        "entry": "*params cos wavelength",
+        "under_smooth": "*params cos wavelength",
+    }
+
+    def check(self) -> None:
+        """Check that the tables are consistent.
+
+        Raises:
+            ValueError: names the inconsistent table.
+        """
+        check_wavelengths(self.wavelengths_nm)
+        leading, count = check_parameters(self.parameters), len(self.wavelengths_nm)
+        if self.scale.shape != (*leading, count):
+            raise ValueError(f"scale has the shape {self.scale.shape}, not {(*leading, count)}")
+        if self.entry.shape[:-2] != leading or self.entry.shape[-1] != count or self.entry.shape[-2] < 1:
+            raise ValueError(f"entry has the shape {self.entry.shape}")
+        smooth = self.under_smooth
+        if smooth is not None and (smooth.shape[:-2] != leading or smooth.shape[-1] != count or smooth.shape[-2] < 1):
+            raise ValueError(f"under_smooth has the shape {smooth.shape}")
+
+    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
+        """Return the value `[..., wavelength]` in 1/sr."""
+        wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
+        cos_i, cos_o = wi[..., 2], wo[..., 2]
+        coords = parameter_coordinates(self.parameters, uv, cos_i.shape)
+        nodes = self.entry.shape[-2] - 1
+        way_in = interpolate(self.entry, (*coords, np.maximum(cos_i, 0) * nodes))
+        way_out = interpolate(self.entry, (*coords, np.maximum(cos_o, 0) * nodes))
+        scale = interpolate(self.scale, coords) if coords else self.scale
+        seen = ((cos_i > 0) & (cos_o > 0))[..., None]
+        return np.where(seen, scale * way_in * way_out / np.pi, 0.0)
+
+    def smooth_albedo(self, cos_i: Array, uv: Array | None = None) -> Array:
+        """Return `under_smooth` at cosines `[...]` in the ambient, `[..., wavelength]`.
+
+        Raises:
+            UnsupportedError: without a film or with a smooth one, for which `hemispherical` is equal.
+        """
+        if self.under_smooth is None:
+            raise UnsupportedError("a base without a rough film above it has no albedo under the smooth one")
+        cos = np.asarray(cos_i, dtype=float)
+        coords = parameter_coordinates(self.parameters, uv, cos.shape)
+        return interpolate(self.under_smooth, (*coords, np.maximum(cos, 0) * (self.under_smooth.shape[-2] - 1)))
+
+
+def bare_base(wavelengths_nm: Array, albedo: Array) -> Diffuse:
+    """Return a bare Lambertian base with the given albedo spectrum."""
+    wavelengths_nm = np.asarray(wavelengths_nm, dtype=float)
+    scale = np.broadcast_to(np.asarray(albedo, dtype=float), wavelengths_nm.shape).copy()
+    return Diffuse(wavelengths_nm, scale, np.ones((1, len(wavelengths_nm))))
