@@ -59,7 +59,7 @@ def median_seconds(function: Any, repeats: int) -> tuple[float, float]:
 def bench_slice(repeats: int) -> dict[str, Any]:
     """Time a slice and a part of the direct sum, in the same run."""
     from nacre.core.machine import single_threaded_blas
-    from nacre.families.relief.coherence import Coherence
+    from nacre.families.relief.diffraction_orders import Coherence
     from nacre.families.relief.plane_cut import CutGeometry, plan_cut
     from nacre.families.relief.surface import Tile
 
@@ -98,7 +98,7 @@ def bench_slice(repeats: int) -> dict[str, Any]:
 
 def bench_cache() -> dict[str, Any]:
     """Time the 4D cache at 512 x 512 samples and at least 24 nodes."""
-    from nacre.families.relief.coherence import Coherence
+    from nacre.families.relief.diffraction_orders import Coherence
     from nacre.families.relief.spectrum_map import spectrum_map
     from nacre.families.relief.surface import Tile
 
@@ -123,8 +123,7 @@ def bench_cache() -> dict[str, Any]:
 def bench_large(features: int = 512) -> dict[str, Any]:
     """Time a large tile's slice, the choice of its sampling included."""
     from nacre.core.machine import single_threaded_blas
-    from nacre.families.relief.coherence import Coherence
-    from nacre.families.relief.diffraction_orders import choose_sampling
+    from nacre.families.relief.diffraction_orders import Coherence, choose_sampling
     from nacre.families.relief.plane_cut import CutGeometry, plan_cut
     from nacre.families.relief.surface import Tile
 

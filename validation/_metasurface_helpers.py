@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array, ComplexArray
-from nacre.families.metasurface.ensemble.supercells import PlaneWaves
+from nacre.families.metasurface.supercells import PlaneWaves
 from nacre.families.metasurface.tmatrix.axisymmetric import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     Directions,

@@ -9,8 +9,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.machine import single_threaded_blas
-from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.diffraction_orders import coating_reflectance
+from nacre.families.relief.diffraction_orders import Coherence, coating_reflectance
 from nacre.families.relief.plane_cut import CutGeometry, plan_cut
 from nacre.families.relief.surface import Tile
 from nacre.matter.indices.library import index

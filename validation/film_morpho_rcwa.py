@@ -27,7 +27,7 @@ from nacre.core.arrays import Array
 from nacre.families.film.supercells import SupercellFilm
 from nacre.light import delta_e_2000, xyz_to_lab
 from nacre.light.tristimulus import white_xyz, xyz_weights
-from nacre.matter.periodic.ridge_tables import solved_case
+from nacre.matter.periodic.ridge_supercells import solved_case
 from validation._film import canvas, film, srgb
 from validation._ridges import FARTHEST, RIDGES, drawn_heights
 from validation._ridges_make import (

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import nacre
-from nacre.families.metasurface.ensemble.ensemble import middle_sizes, same_order
+from nacre.families.metasurface.ensemble import middle_sizes, same_order
 from nacre.families.metasurface.material import Metasurface
 from validation._film import canvas
 from validation._rows import finish, row

@@ -22,8 +22,13 @@ from scipy.stats import norm
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.machine import in_threads
-from nacre.families.metasurface.ensemble.ensemble import ANGLES, WIDEST, Ensemble, Side, middle_sizes, same_order
-from nacre.families.metasurface.ensemble.supercells import (
+from nacre.families.metasurface.ensemble import ANGLES, WIDEST, Ensemble, Side, middle_sizes, same_order
+from nacre.families.metasurface.monolayer.arrangement import Arrangement, Pattern
+from nacre.families.metasurface.monolayer.diffuse import diffuse_term
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.qca import NAME as LADDER
+from nacre.families.metasurface.monolayer.structure import Block, Pairs, Ratio, Sums, block_sums, hard_disk_structure
+from nacre.families.metasurface.supercells import (
     Coupling,
     Period,
     PlaneWaves,
@@ -32,11 +37,6 @@ from nacre.families.metasurface.ensemble.supercells import (
     supercells,
     with_species,
 )
-from nacre.families.metasurface.monolayer.arrangement import Arrangement, Pattern
-from nacre.families.metasurface.monolayer.diffuse import diffuse_term
-from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
-from nacre.families.metasurface.monolayer.qca import NAME as LADDER
-from nacre.families.metasurface.monolayer.structure import Block, Pairs, Ratio, Sums, block_sums, hard_disk_structure
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.mie import mie_coefficients

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from nacre.families.metasurface.ensemble.ensemble import middle_sizes, same_order
+from nacre.families.metasurface.ensemble import middle_sizes, same_order
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.qca import NAME as LADDER
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure

@@ -10,8 +10,14 @@ import numpy as np
 from matplotlib import pyplot
 
 from nacre.core.arrays import Array
-from nacre.families.pearl.flake_normals import FlakeNormals, optical_number, orthonormal_basis
-from nacre.families.pearl.platelet import Coating, Platelet, platelet_response
+from nacre.families.pearl.platelet import (
+    Coating,
+    FlakeNormals,
+    Platelet,
+    optical_number,
+    orthonormal_basis,
+    platelet_response,
+)
 from nacre.families.pearl.thickness import Thickness
 from nacre.matter.indices.spec import IndexSpec
 

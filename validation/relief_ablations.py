@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.diffraction_orders import Coherence
 from nacre.families.relief.surface import Tile, slopes
 from validation._relief import PIXELS, Model, exposed, sheet
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.diffraction_orders import Coherence
 from nacre.families.relief.plane_cut import (
     CutGeometry,
     chebyshev_nodes,

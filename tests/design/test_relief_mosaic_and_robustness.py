@@ -11,7 +11,7 @@ import pytest
 from read_back import read_grey16
 
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.diffraction_orders import Coherence
 from nacre.families.relief.plane_cut import CutGeometry
 from nacre.formats.layouts import PUBLISHED_CALIBRATION
 from nacre.optimise.relief.merit import Problem, View, published_weights

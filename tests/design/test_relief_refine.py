@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from nacre.core.errors import RecipeError
-from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.diffraction_orders import coating_reflectance
+from nacre.families.relief.diffraction_orders import Coherence, coating_reflectance
 from nacre.families.relief.plane_cut import CutGeometry
 from nacre.matter.indices.constant import named_constant
 from nacre.optimise.relief import refine as refinement

@@ -16,7 +16,7 @@ from read_back import heights_from_grey, read_grey16, read_levels, read_stl_heig
 from nacre.api import fabricate as fabricate_all
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.diffraction_orders import Coherence
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Tile
 from nacre.formats.layouts import PUBLISHED_CALIBRATION, read_calibration

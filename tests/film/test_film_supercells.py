@@ -15,25 +15,23 @@ from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.film.supercells import SupercellFilm
 from nacre.light import delta_e_2000
-from nacre.matter.periodic.ridge_tables import (
+from nacre.matter.periodic.ridge_supercells import (
     ALONG,
     LEAST_DRAWS,
     RidgeCase,
+    RidgeStatistics,
+    array_factor,
     controlled,
     depth,
+    drawn_ridges,
+    levels,
+    mean_array_factor,
+    reflected_fan,
     ridge_table,
     solved_wavelengths,
 )
 from nacre.matter.periodic.solve import solve
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Rectangle
-from nacre.matter.periodic.supercell import (
-    RidgeStatistics,
-    array_factor,
-    drawn_ridges,
-    levels,
-    mean_array_factor,
-    reflected_fan,
-)
 
 CUTICLE = 1.56 + 0.06j
 WING = RidgeStatistics(700.0, 300.0, 2, 120.0, 40.0, 60.0)

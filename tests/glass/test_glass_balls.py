@@ -11,7 +11,7 @@ from two_scale import place_balls, trace
 
 import nacre
 from nacre.core.errors import RecipeError
-from nacre.families.glass.balls import Balls, ball_light
+from nacre.families.glass.composite import Balls, ball_light
 from nacre.families.glass.radiative_transfer import Slab
 
 LAM = np.array([430.0, 600.0])

@@ -9,7 +9,7 @@ import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.families.glass.balls import Balls
+from nacre.families.glass.composite import Balls
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.recipe.toml import dump_toml
 

@@ -13,9 +13,8 @@ from nacre.matter.periodic import line_elements
 from nacre.matter.periodic.lamellar_solver import solve_lamellar
 from nacre.matter.periodic.line_elements import solve_elements
 from nacre.matter.periodic.line_solver import solve_profile
-from nacre.matter.periodic.slices import Wall, inset, sliced
 from nacre.matter.periodic.solve import TOLERANCE, _finest, difference, solve, total
-from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Rectangle, Region
+from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Rectangle, Region, Wall, inset, sliced
 
 
 @pytest.mark.parametrize("n", [1.5, 2.5])
@@ -150,7 +149,7 @@ def test_sloping_pillars_keep_energy(changes: dict[str, float]) -> None:
 
 
 def test_slices_of_a_wall_round_all_over_fill_its_height_closest_at_the_top() -> None:
-    from nacre.matter.periodic.slices import _edges
+    from nacre.matter.periodic.structure import _edges
 
     depths = _edges(100.0, 100.0, 4)
     np.testing.assert_allclose(depths, 100.0 * (1.0 - np.cos(np.linspace(0.0, 0.5 * np.pi, 5))), atol=1e-12)

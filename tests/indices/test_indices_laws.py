@@ -15,10 +15,10 @@ from nacre.matter.indices.laws import (
     CodyLorentz,
     Gaussian,
     TaucLorentz,
+    effective_permittivity,
     kramers_kronig,
 )
 from nacre.matter.indices.library import index, lone_axes, pairs_among, partners
-from nacre.matter.indices.mixtures import effective_permittivity
 from nacre.matter.indices.models import EV_NM, Oscillators
 
 ENERGIES = np.array([0.8, 1.3, 1.9, 2.5, 3.7])

@@ -17,7 +17,6 @@ from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.monolayer import PolarGrid
 from nacre.bsdf.texture import Texture
 from nacre.core.arrays import direction
-from nacre.families.metasurface.ensemble.supercells import Coupling
 from nacre.families.metasurface.monolayer import aligned as aligned_compile
 from nacre.families.metasurface.monolayer.aligned import (
     AlignedLayer,
@@ -32,6 +31,7 @@ from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.evaluation import Grids, direct_powers, direct_values, tabulate
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.supercells import Coupling
 from nacre.families.metasurface.tmatrix import tmatrix_file
 from nacre.families.metasurface.tmatrix.axisymmetric import (
     as_blocks,

@@ -8,12 +8,12 @@ from helpers_metasurface import REFERENCE, reference, surface
 from validation._metasurface_helpers import cross_sections, plane_waves
 
 import nacre
-from nacre.families.metasurface.ensemble.ensemble import same_order
-from nacre.families.metasurface.ensemble.supercells import Coupling
+from nacre.families.metasurface.ensemble import same_order
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
 from nacre.families.metasurface.species import convergence_error, place
+from nacre.families.metasurface.supercells import Coupling
 from nacre.families.metasurface.tmatrix.axisymmetric import TabulatedBody, as_blocks, truncated
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     NODES,

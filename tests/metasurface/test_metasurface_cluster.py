@@ -5,8 +5,8 @@ import pytest
 from helpers_metasurface import surface, t_matrix
 from validation._metasurface_helpers import plane_waves
 
-from nacre.families.metasurface.ensemble.supercells import Coupling, direct_coupling, reflected_coupling
 from nacre.families.metasurface.monolayer.monolayer import Particle
+from nacre.families.metasurface.supercells import Coupling, direct_coupling, reflected_coupling
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, multipole_index, reciprocal
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     Directions,

@@ -14,9 +14,7 @@ from nacre.core.errors import NacreError
 from nacre.core.machine import in_threads
 from nacre.core.progress import on_progress
 from nacre.families.metasurface import material as model_selection
-from nacre.families.metasurface.ensemble import ensemble
-from nacre.families.metasurface.ensemble.ensemble import ANGLES, Ensemble, same_order
-from nacre.families.metasurface.ensemble.supercells import orders, supercells, with_species
+from nacre.families.metasurface.ensemble import ANGLES, Ensemble, ensemble, same_order
 from nacre.families.metasurface.monolayer.arrangement import Arrangement
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
@@ -31,6 +29,7 @@ from nacre.families.metasurface.monolayer.structure import (
     fit_ratio,
     hard_disk_structure,
 )
+from nacre.families.metasurface.supercells import orders, supercells, with_species
 from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
 from nacre.families.metasurface.tmatrix.substrate import Embedded
 from nacre.material.material import material
@@ -523,7 +522,7 @@ def test_where_the_window_ends_changes_no_coupling(second, place):
 
     Light that a film guides goes far too: without the waves beyond its index they miss by 2.6 %.
     """
-    from nacre.families.metasurface.ensemble.supercells import Coupling, PeriodicCoupling
+    from nacre.families.metasurface.supercells import Coupling, PeriodicCoupling
 
     stacks = {"glass": (surface(500.0, 1.5), 90.0), "film": (surface(500.0, 1.5, ((2.4, 120.0),)), 90.0), **INSIDE}
     (below, height), radius = stacks[place], 90.0

@@ -9,8 +9,12 @@ from validation._metasurface_helpers import cross_sections
 
 import nacre
 from nacre.core.errors import NacreError
-from nacre.families.metasurface.ensemble.ensemble import Ensemble, EnsembleSettings
-from nacre.families.metasurface.ensemble.supercells import (
+from nacre.families.metasurface.ensemble import Ensemble, EnsembleSettings
+from nacre.families.metasurface.monolayer.arrangement import Arrangement
+from nacre.families.metasurface.monolayer.evaluation import direct_powers
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.supercells import (
     BEYOND_IN_A_LAYER,
     lift,
     orders,
@@ -18,10 +22,6 @@ from nacre.families.metasurface.ensemble.supercells import (
     supercells,
     with_species,
 )
-from nacre.families.metasurface.monolayer.arrangement import Arrangement
-from nacre.families.metasurface.monolayer.evaluation import direct_powers
-from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
-from nacre.families.metasurface.monolayer.structure import hard_disk_structure
 from nacre.families.metasurface.tmatrix.axisymmetric import multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     ParticleOnStack,
@@ -218,9 +218,7 @@ def test_auto_takes_the_ensemble_of_all_but_few_particles_inside_a_layer(coverag
 @pytest.mark.parametrize("is_mixture", [False, True])
 def test_an_ensemble_in_a_layer_of_the_ambient_s_index_is_that_of_a_gap(is_mixture, monkeypatch):
     """The couplings by way of both faces, the far fields and their units: all of one pattern's light."""
-    monkeypatch.setattr(
-        nacre.families.metasurface.ensemble.supercells, "BEYOND", BEYOND_IN_A_LAYER
-    )  # where both end their sums
+    monkeypatch.setattr(nacre.families.metasurface.supercells, "BEYOND", BEYOND_IN_A_LAYER)  # where both end their sums
     density, found = 0.1 / np.pi / RADIUS**2, []
     made = Arrangement("hard-disk", density, 0.1, 0)
     patterns = supercells(lambda count, _: made.pattern(count), density, 2 * RADIUS, 20, 1, 0)
@@ -242,7 +240,7 @@ def test_an_ensemble_in_a_layer_of_the_ambient_s_index_is_that_of_a_gap(is_mixtu
 
 
 def test_one_solution_is_not_taken_for_that_of_the_same_stack_seen_from_another_layer():
-    from nacre.families.metasurface.ensemble.ensemble import _key
+    from nacre.families.metasurface.ensemble import _key
 
     density = 0.1 / np.pi / RADIUS**2
     keys = set()

@@ -8,13 +8,13 @@ from helpers_metasurface import monolayer, surface, t_matrix
 
 import nacre
 from nacre.core.errors import UnsupportedError
-from nacre.families.metasurface.ensemble.supercells import direct_coupling, reflected_coupling
 from nacre.families.metasurface.monolayer import diffuse
 from nacre.families.metasurface.monolayer import qca as ladder_module
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.qca import Modes
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.supercells import direct_coupling, reflected_coupling
 from nacre.families.metasurface.tmatrix.axisymmetric import multipole_index, spread_blocks
 from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
 

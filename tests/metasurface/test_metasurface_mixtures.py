@@ -14,8 +14,11 @@ from validation.metasurface_mixtures import mixture
 
 from nacre.cli import run
 from nacre.core.errors import NacreError
-from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings, _kind_factor, expected_seconds
-from nacre.families.metasurface.ensemble.supercells import (
+from nacre.families.metasurface.ensemble import EnsembleSettings, _kind_factor, expected_seconds
+from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
+from nacre.families.metasurface.monolayer.structure import hard_disk_structure
+from nacre.families.metasurface.species import widened
+from nacre.families.metasurface.supercells import (
     Coupling,
     Period,
     Supercell,
@@ -23,9 +26,6 @@ from nacre.families.metasurface.ensemble.supercells import (
     lift,
     with_species,
 )
-from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
-from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.species import widened
 from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks, multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions
 from nacre.material.material import material

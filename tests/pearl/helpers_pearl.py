@@ -11,7 +11,7 @@ from nacre.bsdf.compensation import interface_loss
 from nacre.bsdf.facet_distributions import Roughness
 from nacre.bsdf.lobes.layered import Layered
 from nacre.core.arrays import Array
-from nacre.families.pearl.flake_normals import (
+from nacre.families.pearl.platelet import (
     FlakeNormals,
     cos_nodes,
     mean_extinction,

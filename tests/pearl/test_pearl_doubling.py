@@ -12,7 +12,7 @@ import nacre
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.core.arrays import direction
 from nacre.families.pearl import doubling, surrogate
-from nacre.families.pearl.flake_normals import FlakeNormals
+from nacre.families.pearl.platelet import FlakeNormals
 from nacre.families.pearl.random_walk import Medium
 from nacre.measure.geometry import ASPECULAR_DEG, aspecular_direction
 

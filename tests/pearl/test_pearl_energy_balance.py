@@ -11,7 +11,7 @@ import pytest
 import nacre
 from nacre.bsdf.lobes.table import from_half_difference
 from nacre.families.pearl import platelet as platelet_module
-from nacre.families.pearl.flake_normals import cos_nodes
+from nacre.families.pearl.platelet import cos_nodes
 from nacre.light import spectrum_to_xyz, xyz_to_lab
 
 LAM = np.array([450.0, 530.0, 610.0])

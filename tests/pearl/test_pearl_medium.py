@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers_pearl import draw_visible
 
-from nacre.families.pearl.flake_normals import (
+from nacre.families.pearl.platelet import (
     FlakeNormals,
     cos_nodes,
     mean_extinction,

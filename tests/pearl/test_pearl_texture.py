@@ -15,8 +15,8 @@ import nacre
 from nacre.cli import run
 from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
-from nacre.families.pearl.flake_normals import FlakeNormals, rotation_matrix
 from nacre.families.pearl.flake_texture import visible_normals
+from nacre.families.pearl.platelet import FlakeNormals, rotation_matrix
 from nacre.material.material import as_material
 from nacre.measure import texture as texture_module
 from nacre.measure.evaluate import evaluate_with_error

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.diffraction_orders import (
+    Coherence,
     _step_limit,
     brdf_factor,
     choose_sampling,

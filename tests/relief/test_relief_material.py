@@ -13,8 +13,7 @@ import nacre
 from nacre.bsdf.bsdf import Bsdf
 from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.diffraction_orders import coating_reflectance, fresnel_reflectance
+from nacre.families.relief.diffraction_orders import Coherence, coating_reflectance, fresnel_reflectance
 from nacre.families.relief.material import DRAFT_ERROR, Relief
 from nacre.families.relief.plane_cut import CutGeometry, local_response, plan_cut
 from nacre.families.relief.spectrum_map import spectrum_map

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nacre.bsdf.bsdf import Bsdf
-from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.diffraction_orders import Coherence
 from nacre.families.relief.spectrum_map import spectrum_map
 from nacre.families.relief.surface import Tile
 

@@ -13,7 +13,7 @@ from scipy.special import gammaln
 import nacre
 from nacre.core.arrays import direction
 from nacre.core.errors import NacreError
-from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.diffraction_orders import Coherence
 from nacre.families.relief.scan import Scan, suggested
 from nacre.families.relief.spectrum_map import SpectrumMap, spectrum_map
 from nacre.families.relief.surface import Tile
@@ -268,7 +268,7 @@ def test_the_azimuthal_mean_continues_the_largest_circle_into_the_corners() -> N
 @pytest.mark.parametrize(("blur_nm", "is_vertical"), [(0.0, True), (6.0, True), (9.0, False)])
 def test_steps_steeper_than_20_are_vertical_walls_between_level_features(blur_nm: float, is_vertical: bool) -> None:
     """The slope of a step h blurred by sigma is h / (sqrt(2 pi) sigma)."""
-    from nacre.families.relief.blocks import Blocks
+    from nacre.families.relief.structures import Blocks
 
     heights = np.zeros((6, 6))
     heights[2:4, 1:5] = 400.0

@@ -14,9 +14,8 @@ from validation.relief_rcwa import spectra_of, strong_errors, vector_efficiencie
 import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.families.relief.blocks import blocks_of
-from nacre.families.relief.lines import lines_of
 from nacre.families.relief.material import Relief
+from nacre.families.relief.structures import blocks_of, lines_of
 from nacre.families.relief.surface import Tile
 from nacre.families.relief.vector import VectorRelief
 

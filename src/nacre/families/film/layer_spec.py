@@ -15,7 +15,7 @@ from nacre.families.film.material import FilmLayer
 from nacre.matter.indices.anisotropic_spec import AnisotropicSpec, MediumSpec
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.crystal import AnisotropicConstant
-from nacre.matter.indices.mixtures import Mixture
+from nacre.matter.indices.laws import Mixture
 from nacre.matter.indices.spec import IndexSpec
 from nacre.matter.stack.polarised import SPREAD_REACH, Helix
 from nacre.matter.stack.solve import powers

@@ -15,9 +15,10 @@ from nacre.families.contract import Traits
 from nacre.families.film.material import Film
 from nacre.families.film.ridges import remainder
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab, xyz_weights
-from nacre.matter.periodic.ridge_tables import (
+from nacre.matter.periodic.ridge_supercells import (
     ALONG,
     RidgeCase,
+    RidgeStatistics,
     even_wavelengths,
     ridge_table,
     solved_case,
@@ -25,7 +26,6 @@ from nacre.matter.periodic.ridge_tables import (
     truncation_error,
 )
 from nacre.matter.periodic.structure import NotConvergedError
-from nacre.matter.periodic.supercell import RidgeStatistics
 
 ALONG_NODES = 21  # the solved directions are among them
 VIEWS_DEG, HALF_VIEW_DEG = (0.0, 15.0, 30.0, 45.0, 60.0), 7.5  # at which the colour error is stated

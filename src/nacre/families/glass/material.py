@@ -21,8 +21,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.core.machine import in_threads
 from nacre.families.contract import DirectEvaluation, Figure, Model, SearchFidelity, Strata, Surrogate, Traits
-from nacre.families.glass.balls import Balls
-from nacre.families.glass.composite import Composite, EffectiveDispersion
+from nacre.families.glass.composite import Balls, Composite, EffectiveDispersion
 from nacre.families.glass.medium import SIZES, Medium, mixture_power, percus_yevick, schulz_sizes
 from nacre.families.glass.radiative_transfer import AZIMUTHS, Slab, brdf_pairs, with_one_index
 from nacre.families.glass.random_walk import Face, walk

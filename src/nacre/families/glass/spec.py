@@ -12,8 +12,7 @@ from pydantic import Field
 from nacre.bsdf.substrate import OF_OTHER_FAMILY, SubstrateSpec, Widths, interface_roughness, nested_strata
 from nacre.core.arrays import Array
 from nacre.core.errors import MaterialRangeError, NacreError
-from nacre.families.glass.balls import Balls
-from nacre.families.glass.composite import INDEX_NM, MAX_EXTINCTION, Composite, EffectiveDispersion
+from nacre.families.glass.composite import INDEX_NM, MAX_EXTINCTION, Balls, Composite, EffectiveDispersion
 from nacre.families.glass.material import FastGlass, Glass, Layer
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec

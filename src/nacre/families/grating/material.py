@@ -18,13 +18,23 @@ from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 from nacre.core.arrays import Array, gauss_legendre, interpolate, take_uniform
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Diffracting, Fabricable, Pixels, Traits
-from nacre.families.grating.outlines import outlines
+from nacre.families.grating.profiles import outlines
 from nacre.matter.drawings import CellField, Drawer, DrawingRequest
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.periodic.order_tables import OrderTables, in_common, order_tables
 from nacre.matter.periodic.orders import Orders, coarse_orders, solve_orders
-from nacre.matter.periodic.slices import COARSE, Wall, sliced
-from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Rectangle, Region, Shape
+from nacre.matter.periodic.structure import (
+    COARSE,
+    Cell,
+    PatternLayer,
+    PeriodicStack,
+    Profile,
+    Rectangle,
+    Region,
+    Shape,
+    Wall,
+    sliced,
+)
 
 MIRROR_NODES = 129
 NODE_RATIO = 0.12  # of neighbouring nodes of a period, at least

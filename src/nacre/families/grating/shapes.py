@@ -14,8 +14,7 @@ from nacre.core.errors import RecipeError
 from nacre.core.files import plain, why_unreadable
 from nacre.matter.indices.spec import IndexSpec
 from nacre.matter.periodic.crossed_solver import box, cell_grid
-from nacre.matter.periodic.slices import Wall, inset
-from nacre.matter.periodic.structure import Cell, Rectangle, Region, Shape
+from nacre.matter.periodic.structure import Cell, Rectangle, Region, Shape, Wall, inset
 from nacre.matter.periodic.types import Array
 from nacre.recipe.model import RecipeContext, RecipeModel
 

@@ -28,7 +28,7 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.core.machine import in_threads
 from nacre.families.contract import DirectEvaluation, ExcessEnergy, ExpensiveMethod, Model, SearchFidelity, Traits
-from nacre.families.metasurface.ensemble.ensemble import EnsembleInterpolation, EnsembleSettings, interpolate_ensemble
+from nacre.families.metasurface.ensemble import EnsembleInterpolation, EnsembleSettings, interpolate_ensemble
 from nacre.families.metasurface.monolayer.aligned import (
     NO_ENSEMBLE,
     AlignedLayer,

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from nacre.core.errors import MaterialRangeError, UnsupportedError
 from nacre.families.contract import Fabricable, Figure, OwnFormats, Writer
-from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings
-from nacre.families.metasurface.ensemble.supercells import draw_species
+from nacre.families.metasurface.ensemble import EnsembleSettings
 from nacre.families.metasurface.material import Metasurface
 from nacre.families.metasurface.monolayer.arrangement import (
     ARRANGEMENTS,
@@ -33,6 +32,7 @@ from nacre.families.metasurface.monolayer.arrangement import (
 )
 from nacre.families.metasurface.monolayer.structure import PACKING_LIMIT, Structure, hard_disk_structure
 from nacre.families.metasurface.species import MAX_TOLERANCE, ParticleSpec, Species, mean_square_radius
+from nacre.families.metasurface.supercells import draw_species
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, as_blocks
 from nacre.families.metasurface.tmatrix.particle_on_stack import amplitude
 from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K

@@ -24,8 +24,7 @@ from nacre.bsdf.facet_distributions import fresnel
 from nacre.bsdf.glints import DiffuseFlakes, LitFlakes, glint_species, mean_square, radius_quantiles
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
-from nacre.families.pearl.flake_normals import FlakeNormals, optical_number, orthonormal_basis
-from nacre.families.pearl.platelet import Platelet, platelet_response
+from nacre.families.pearl.platelet import FlakeNormals, Platelet, optical_number, orthonormal_basis, platelet_response
 from nacre.families.pearl.strata import Flakes, Stratum, dye_response
 from nacre.families.pearl.surrogate import TRUNCATION
 

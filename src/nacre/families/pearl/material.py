@@ -19,17 +19,19 @@ from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError
 from nacre.families.contract import EnergyDefect, Figure, Model, ResolvedFlakes, Strata, Surrogate, Traits
 from nacre.families.pearl.doubling import NARROWEST, RELATIVE_ERROR
-from nacre.families.pearl.flake_normals import (
+from nacre.families.pearl.flake_texture import FlakeTexture, Glints, glint_arrays
+from nacre.families.pearl.platelet import (
     COS_NODES,
     MAX_COS_NODES,
+    PUBLISHED,
     TABLE_ERROR,
+    PlateletResponse,
     cos_nodes,
     mean_extinction,
     optical_number,
+    platelet_response,
     visible_weights,
 )
-from nacre.families.pearl.flake_texture import FlakeTexture, Glints, glint_arrays
-from nacre.families.pearl.platelet import PUBLISHED, PlateletResponse, platelet_response
 from nacre.families.pearl.random_walk import energy_defect
 from nacre.families.pearl.strata import DyeResponse, Flakes, Stratum, dye_response
 from nacre.families.pearl.surrogate import BASE_LOBES_ALBEDO, PearlSurrogate

@@ -12,10 +12,9 @@ from pydantic import Field
 
 from nacre.bsdf.substrate import OF_OTHER_FAMILY, SubstrateSpec, Widths, interface_roughness, nested_strata
 from nacre.core.errors import NacreError, RecipeError
-from nacre.families.pearl.flake_normals import FlakeNormals, rotation_matrix
 from nacre.families.pearl.flake_texture import Glints
 from nacre.families.pearl.material import MIN_DEVIATION, Pearl
-from nacre.families.pearl.platelet import Coating, Platelet
+from nacre.families.pearl.platelet import Coating, FlakeNormals, Platelet, rotation_matrix
 from nacre.families.pearl.strata import Dye, Flakes, Stratum
 from nacre.families.pearl.thickness import Thickness
 from nacre.matter.indices.constant import OpticalConstant

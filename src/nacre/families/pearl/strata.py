@@ -12,8 +12,7 @@ import numpy as np
 from nacre.bsdf.facet_distributions import Roughness
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.families.pearl.flake_normals import FlakeNormals
-from nacre.families.pearl.platelet import Platelet
+from nacre.families.pearl.platelet import FlakeNormals, Platelet
 from nacre.families.pearl.thickness import Thickness
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.mie import default_order, mie_amplitudes, mie_coefficients, mie_efficiencies

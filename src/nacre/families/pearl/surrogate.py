@@ -24,8 +24,13 @@ from nacre.bsdf.lobes.platelet_layer import flake_lobe, surface_values
 from nacre.core.arrays import Array
 from nacre.core.machine import in_threads
 from nacre.families.pearl.doubling import NARROWEST, multiple_scattering
-from nacre.families.pearl.flake_normals import FlakeNormals, mean_extinction, optical_number, visible_weights
-from nacre.families.pearl.platelet import platelet_response
+from nacre.families.pearl.platelet import (
+    FlakeNormals,
+    mean_extinction,
+    optical_number,
+    platelet_response,
+    visible_weights,
+)
 from nacre.families.pearl.random_walk import CHUNKS, Medium, no_tally, single_scattering_at, walk
 from nacre.families.pearl.strata import Flakes, Stratum
 

@@ -11,23 +11,95 @@ The BRDF also has factors that do not depend on the heights: directions, obliqui
 psi = w_i + w_o has the lateral part (u, v) and the normal part xi. The relief's power spectrum depends on
 (u, v, xi, lambda). The coating reflectance is taken at the angle of the facet, cos(theta_d) = w_i . h with the half
 vector h. It is equal for both directions, so the BRDF is reciprocal (physics/relief.md, "Prefactor").
+
+The coherence window, given by sigma or the angular size of the light source, is a Gaussian of standard deviation
+s = `width_in_wavelengths` x lambda. Its spectrum smooths the lines by the same angle at every wavelength
+(physics/relief.md, "From heights to light").
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+import pydantic
 import scipy.fft
 from numpy.typing import NDArray
+from pydantic import Field
 
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.core.machine import check_memory
 from nacre.families.relief.surface import Tile, largest_step_nm
+from nacre.recipe.model import RecipeModel
+
+PUBLISHED_REFERENCE_UM = 0.5  # the source quotes sigma, in um, at this wavelength
+
+
+@dataclass(frozen=True)
+class Coherence:
+    """The coherence window: s / lambda, dimensionless."""
+
+    width_in_wavelengths: float
+
+    @classmethod
+    def from_sigma(cls, sigma_um: float) -> Coherence:
+        """Build from the published parameter: s = (sigma / 0.5) lambda, lambda in um."""
+        return cls(sigma_um / PUBLISHED_REFERENCE_UM)
+
+    @classmethod
+    def from_source_angle(cls, full_angle_rad: float) -> Coherence:
+        """Build from the full angle of a uniform disc: its rms angle is a quarter of the diameter."""
+        return cls(1.0 / (2.0 * math.sqrt(2.0) * math.pi * (full_angle_rad / 4.0)))
+
+    @property
+    def blur(self) -> float:
+        """Standard deviation of the smoothing in direction cosines; 0.0216 for sigma 2.6."""
+        return 1.0 / (2.0 * math.sqrt(2.0) * math.pi * self.width_in_wavelengths)
+
+    @property
+    def source_angle_rad(self) -> float:
+        """Full angle of the uniform disc with the same rms size; 5.0 degrees for sigma 2.6."""
+        return 4.0 * self.blur
+
+    @property
+    def sigma_um(self) -> float:
+        """The published sigma, in um."""
+        return self.width_in_wavelengths * PUBLISHED_REFERENCE_UM
+
+
+LARGEST_SOURCE_ANGLE_DEG = 90.0
+
+
+class CoherenceSpec(RecipeModel):
+    """Either `sigma` (um at 0.5 um, as published) or `source_angle_deg`, the full angle of a uniform source."""
+
+    one_of: ClassVar[tuple[str, ...]] = ("sigma", "source_angle_deg")
+    forms: ClassVar[tuple[str, ...]] = ("{sigma = 5}", "{source_angle_deg = 0.53}")
+
+    sigma: Annotated[float, Field(gt=0.0, le=1e4)] | None = Field(
+        default=None, description="width of the coherence window in um, at a wavelength of 0.5 um", examples=[5]
+    )
+    source_angle_deg: Annotated[float, Field(gt=0.0, le=LARGEST_SOURCE_ANGLE_DEG)] | None = Field(
+        default=None, description="instead of sigma: full angle of a uniform light source", examples=[0.53]
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _exactly_one(self) -> CoherenceSpec:
+        if (self.sigma is None) == (self.source_angle_deg is None):
+            raise ValueError("coherence: give exactly one of sigma and source_angle_deg")
+        return self
+
+    def build(self) -> Coherence:
+        """Return the coherence window."""
+        if self.sigma is not None:
+            return Coherence.from_sigma(self.sigma)
+        assert self.source_angle_deg is not None
+        return Coherence.from_source_angle(math.radians(self.source_angle_deg))
 
 
 def fresnel_reflectance(cos_d: Array, n: NDArray[np.complex128], n_ambient: float = 1.0) -> Array:

@@ -14,13 +14,11 @@ from nacre.bsdf.bsdf import Bsdf
 from nacre.core.arrays import direction
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import DirectEvaluation, Draft, ExcessEnergy, Fabricable, Figure, Model, Traits
-from nacre.families.relief.blocks import Blocks, blocks_of
-from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.diffraction_orders import Prefactor, choose_sampling, coating_reflectance
-from nacre.families.relief.lines import Lines, lines_of
+from nacre.families.relief.diffraction_orders import Coherence, Prefactor, choose_sampling, coating_reflectance
 from nacre.families.relief.plane_cut import Reflectance, local_response
 from nacre.families.relief.scan import Scan
 from nacre.families.relief.spectrum_map import EXCESS_ANGLES_DEG, MapReport, map_values, spectrum_map
+from nacre.families.relief.structures import Blocks, Lines, blocks_of, lines_of
 from nacre.families.relief.surface import Array, Tile, Validity, assess, slopes
 from nacre.matter.drawings import Drawer, DrawingRequest, HeightMap
 from nacre.matter.indices.constant import OpticalConstant

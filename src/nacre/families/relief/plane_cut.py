@@ -20,10 +20,10 @@ import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from nacre.core.arrays import Array
-from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.diffraction_orders import (
     LEAST_COSINE,
     Coefficients,
+    Coherence,
     LineBasis,
     Prefactor,
     RealArray,

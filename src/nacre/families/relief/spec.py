@@ -9,10 +9,10 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from nacre.core.errors import RecipeError
-from nacre.families.relief.coherence import CoherenceSpec
+from nacre.families.relief.diffraction_orders import CoherenceSpec
 from nacre.families.relief.height_file import MAX_HEIGHT_UM, HeightOptions, scan_of, tile_of
-from nacre.families.relief.lines import MAX_PERIOD_NM
 from nacre.families.relief.material import Relief
+from nacre.families.relief.structures import MAX_PERIOD_NM
 from nacre.families.relief.vector import VectorRelief
 from nacre.matter.indices.spec import IndexSpec
 from nacre.matter.periodic.structure import MAX_UNKNOWNS

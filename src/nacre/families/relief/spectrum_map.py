@@ -17,8 +17,8 @@ from scipy.ndimage import spline_filter1d
 from nacre.bsdf.lobes.spectrum_map import SpectrumMap
 from nacre.core.errors import UnsupportedError
 from nacre.core.machine import available_jobs, check_memory, in_threads
-from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.diffraction_orders import (
+    Coherence,
     Prefactor,
     Sampling,
     choose_sampling,

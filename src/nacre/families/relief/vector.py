@@ -12,9 +12,8 @@ from nacre.bsdf.lobes.orders import OrdersLobe, limited_width
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.core.arrays import Array
 from nacre.families.contract import Diffracting, Fabricable, Figure, Traits
-from nacre.families.relief.blocks import Blocks
-from nacre.families.relief.lines import Lines
 from nacre.families.relief.material import Relief
+from nacre.families.relief.structures import Blocks, Lines
 from nacre.matter.drawings import Drawer
 from nacre.matter.periodic.order_tables import order_tables
 from nacre.matter.periodic.orders import Orders, solve_orders

@@ -22,17 +22,19 @@ from nacre.matter.indices.constant import (
 )
 from nacre.matter.indices.database import find_page, read_page
 from nacre.matter.indices.laws import (
+    FRACTION_ERROR,
+    SPHERE,
     BrendelBormann,
     BSpline,
     CodyLorentz,
     DrudeLorentz,
     Gaussian,
+    Mixture,
     SumOfTerms,
     Tail,
     TaucLorentz,
     Term,
 )
-from nacre.matter.indices.mixtures import FRACTION_ERROR, SPHERE, Mixture
 from nacre.matter.indices.models import Cauchy, Constant, Dispersion, Oscillators, Sellmeier, Table, abbe_cauchy
 from nacre.matter.stack.inputs import CLEAR_K
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
-from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.diffraction_orders import Prefactor
+from nacre.families.relief.diffraction_orders import Coherence, Prefactor
 from nacre.families.relief.plane_cut import CutGeometry, CutPlan, plan_cut
 from nacre.families.relief.surface import Tile, blur_matrix, largest_step_nm
 

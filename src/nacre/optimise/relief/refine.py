@@ -17,9 +17,8 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
-from nacre.families.relief.blocks import Blocks, blocks_of
-from nacre.families.relief.lines import Lines, lines_of
 from nacre.families.relief.material import Relief
+from nacre.families.relief.structures import Blocks, Lines, blocks_of, lines_of
 from nacre.families.relief.surface import Tile
 from nacre.families.relief.vector import VectorRelief
 from nacre.matter.indices.constant import OpticalConstant

@@ -16,8 +16,7 @@ import pydantic
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
 from nacre.core.files import plain, why_unreadable
-from nacre.families.relief.coherence import CoherenceSpec
-from nacre.families.relief.diffraction_orders import coating_reflectance, fresnel_reflectance
+from nacre.families.relief.diffraction_orders import CoherenceSpec, coating_reflectance, fresnel_reflectance
 from nacre.families.relief.plane_cut import CutGeometry
 from nacre.formats.layouts import find_calibration
 from nacre.matter.indices.spec import IndexSpec

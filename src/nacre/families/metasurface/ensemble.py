@@ -26,7 +26,13 @@ from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
 from nacre.core.jobs import in_workers, is_on_cluster
 from nacre.core.machine import available_jobs, check_memory
 from nacre.core.progress import announce, duration
-from nacre.families.metasurface.ensemble.supercells import (
+from nacre.families.metasurface.monolayer import structure as ensemble_ratio
+from nacre.families.metasurface.monolayer.arrangement import Pattern
+from nacre.families.metasurface.monolayer.diffuse import diffuse_term
+from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer, Particle
+from nacre.families.metasurface.monolayer.qca import node_sines, node_weights
+from nacre.families.metasurface.monolayer.structure import Block, Ratio, Sums, as_arrays, from_arrays
+from nacre.families.metasurface.supercells import (
     Coupling,
     PeriodicCoupling,
     PlaneWaves,
@@ -38,12 +44,6 @@ from nacre.families.metasurface.ensemble.supercells import (
     translation_order,
     with_species,
 )
-from nacre.families.metasurface.monolayer import structure as ensemble_ratio
-from nacre.families.metasurface.monolayer.arrangement import Pattern
-from nacre.families.metasurface.monolayer.diffuse import diffuse_term
-from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer, Particle
-from nacre.families.metasurface.monolayer.qca import node_sines, node_weights
-from nacre.families.metasurface.monolayer.structure import Block, Ratio, Sums, as_arrays, from_arrays
 from nacre.families.metasurface.tmatrix.axisymmetric import multipole_index, truncated, with_negative_orders
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 from nacre.families.metasurface.tmatrix.substrate import Embedded

@@ -1,1 +1,0 @@
-"""Multi-sphere ensembles: the reference solution that corrects the mean-field model."""
