@@ -13,8 +13,8 @@ from nacre.bsdf import Bsdf
 from nacre.core.errors import NacreError
 from nacre.core.machine import in_threads
 from nacre.core.progress import on_progress
-from nacre.families.metasurface import material as model_selection
 from nacre.families.metasurface import ensemble
+from nacre.families.metasurface import material as model_selection
 from nacre.families.metasurface.ensemble import ANGLES, Ensemble, same_order
 from nacre.families.metasurface.monolayer.arrangement import Arrangement
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term

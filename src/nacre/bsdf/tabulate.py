@@ -22,9 +22,9 @@ from nacre.core.machine import check_memory
 from nacre.light import delta_e_2000, spans_colour, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.stack import solve as solver
-from nacre.matter.stack.field import narrow_resonances
 from nacre.matter.stack.incoherent import incoherent_powers
 from nacre.matter.stack.inputs import clear_ambient
+from nacre.matter.stack.solve import narrow_resonances
 from nacre.matter.stack.stack import Medium, Stack, permittivity_of
 
 TRANSPARENT_K = 1e-4  # 1 mm of the substrate then transmits more than 10 % at 550 nm
