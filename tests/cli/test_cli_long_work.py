@@ -63,13 +63,13 @@ def test_without_a_terminal_long_work_reports_progress_in_lines(monkeypatch, cap
     for done in range(1, 11):
         for listener in list(machine._progress_listeners):
             listener(done, 10)
-    reported = [line for line in capsys.readouterr().err.splitlines() if "of 10 patterns" in line]
+    reported = [line for line in capsys.readouterr().err.splitlines() if "of 10 solved" in line]
     assert len(reported) == lines
     if lines:
-        assert reported[-1].startswith("10 of 10 patterns, after ")
+        assert reported[-1].startswith("10 of 10 solved, after ")
     if lines > 1:
         rest = "70 seconds left" if share == 1.0 else "14 seconds left on free cores, 70 seconds as busy as it is"
-        assert reported[0] == f"3 of 10 patterns, about {rest}"
+        assert reported[0] == f"3 of 10 solved, about {rest}"
     assert machine._progress_listeners == watchers
 
 

@@ -10,12 +10,22 @@ import pytest
 
 import nacre
 from nacre.core.machine import single_threaded_blas
+from nacre.matter.periodic import element_solver
 from nacre.matter.periodic.crossed_solver import solve_fourier
 from nacre.matter.periodic.element_mesh import Oval, edge_count
 from nacre.matter.periodic.element_solver import ELEMENT_STEPS, SEVERAL_WALLS, solve_ovals
 from nacre.matter.periodic.lamellar_solver import flat_orders
 from nacre.matter.periodic.solve import difference, method_of, solve_coarse
-from nacre.matter.periodic.structure import MAX_UNKNOWNS, Cell, OrderSet, PatternLayer, PeriodicStack, Region, Shape
+from nacre.matter.periodic.structure import (
+    MAX_UNKNOWNS,
+    Cell,
+    OrderSet,
+    PatternLayer,
+    PeriodicStack,
+    Region,
+    Shape,
+    incident_wave,
+)
 
 SMALL = (3, 3, (0.15,))
 K0 = 2.0 * np.pi / 550.0
@@ -60,6 +70,28 @@ def test_reciprocity_of_orders() -> None:
     to = int(np.flatnonzero((other.numbers == [-1, 0]).all(axis=1))[0])
     assert one.efficiency[at].sum() > 1e-3
     assert other.efficiency[to].sum() == pytest.approx(one.efficiency[at].sum(), rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("cell", "theta", "phi", "classes"),
+    [
+        (Cell(500.0, 500.0), 0.0, 0.0, 4),
+        (Cell(500.0, 500.0), 0.4, 0.25 * np.pi, 2),
+        (Cell(500.0, 500.0, np.pi / 3.0), 0.0, 0.0, 4),
+        (Cell(500.0, 450.0, 1.4), 0.0, 0.0, 1),
+    ],
+)
+def test_classes_of_symmetry_have_the_orders_of_the_whole(
+    monkeypatch: pytest.MonkeyPatch, cell: Cell, theta: float, phi: float, classes: int
+) -> None:
+    stack = on_glass(cell, [(disc(120.0, 30.0, 10.0), (0.05 + 3.5j) ** 2)])
+    size = (3, 2, (0.15,))
+    assert len(element_solver._bases(stack, K0, incident_wave(stack, theta, phi)[0], size)) == classes
+    found = solve_ovals(stack, K0, theta, phi, size)
+    monkeypatch.setattr(element_solver, "_mirror_axes", lambda *_: ())
+    whole = solve_ovals(stack, K0, theta, phi, size)
+    for one, other in ((found.reflected, whole.reflected), (found.transmitted, whole.transmitted)):
+        np.testing.assert_allclose(one.jones, other.jones, rtol=0.0, atol=1e-9)
 
 
 def test_equal_materials_are_a_film() -> None:

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers_grating import check_resumed_table
+from numpy.polynomial import chebyshev
 
 import nacre
 from nacre.core.machine import single_threaded_blas
 from nacre.matter.periodic import crossed_solver, order_tables
+from nacre.matter.periodic.crossed_solver import solve_fourier
 from nacre.matter.periodic.element_solver import solve_ovals
 from nacre.matter.periodic.order_responses import (
     LEAST_NODES,
@@ -99,13 +101,34 @@ def test_mirror_images_of_responses(axis: int) -> None:
     waves = np.array([[0.21, 0.37], [0.21, 0.37]])
     waves[1, axis] *= -1.0
     one, other = responses(channels, waves)
-    assert np.abs(channels.mirrored(one, axis) - other).max() < 1e-9 * np.abs(one).max()
+    image = channels.image(np.diag([-1.0, 1.0] if axis == 0 else [1.0, -1.0]))
+    assert np.abs(image @ one @ image.T - other).max() < 1e-9 * np.abs(one).max()
 
 
-def fitted_lines(channels: Channels, images: list[tuple[int, int]]) -> Fit:
+@pytest.mark.parametrize("name", ["rectangles", "discs", "metal discs"])
+def test_symmetric_nodes_of_two_periods_have_their_own_responses(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(RUNS, "ovals", (solve_ovals, ((3, 2, (0.15,)),)))
+    monkeypatch.setitem(RUNS, "fourier", (solve_fourier, (4,)))
+    shape, wavelength, substrate, lattice, _ = STRUCTURES[name]
+    stack = stack_of({"material": "Si"} | shape, wavelength, substrate, lattice)
+    channels, counts = channels_of(stack, wavelength), (4, 4)
+    images = order_tables._symmetries(stack, order_tables._images(stack))
+    solved = solved_nodes(channels, counts, images)
+    assert len(solved) == {"rectangles": 4, "discs": 6, "metal discs": 6}[name]
+    u = nodes(4)
+    fit = fitted(channels, responses(channels, u[solved] @ channels.span), counts, images)
+    at = np.array([3, 1])  # solved in no case
+    basis = chebyshev.chebvander(u[at], 3)
+    found = np.einsum("i,j,ijab->ab", basis[0], basis[1], fit.coefficients)
+    expected = responses(channels, u[at][None] @ channels.span)[0]
+    assert np.abs(found - expected).max() < 1e-8 * np.abs(expected).max()
+
+
+def fitted_lines(channels: Channels, signs: list[tuple[int, int]]) -> Fit:
+    images = order_tables._symmetries(channels.stack, signs)
     counts = LEAST_NODES
     while True:
-        at = solved_nodes(counts, images)
+        at = solved_nodes(channels, counts, images)
         u = np.stack([nodes(count)[k] for count, k in zip(counts, at.T, strict=True)], axis=1)
         fit = fitted(channels, responses(channels, u @ channels.span), counts, images)
         more = next_counts(fit, TAIL[False])

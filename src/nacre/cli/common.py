@@ -377,7 +377,7 @@ def _report() -> None:
         now = time.monotonic()
         if done == total:
             machine.remove_progress_listener(report)
-            say(f"{total} of {total} patterns, after {duration(now - begun)}")
+            say(f"{total} of {total} solved, after {duration(now - begun)}")
         elif now - said >= PACE_S:
             said = now
             rest = (total - done) / done
@@ -385,7 +385,7 @@ def _report() -> None:
             left = f"about {duration(by_clock)} left"
             if by_clock > BUSY * free:
                 left = f"about {duration(free)} left on free cores, {duration(by_clock)} as busy as it is"
-            say(f"{done} of {total} patterns, {left}")
+            say(f"{done} of {total} solved, {left}")
 
     machine.add_progress_listener(report)
 
@@ -395,7 +395,7 @@ def _follow() -> None:
     from nacre.core import machine
 
     def report(done: int, total: int) -> None:
-        click.echo(f"\r{one_line(f'{done} of {total} patterns')} ", nl=done == total, err=True)
+        click.echo(f"\r{one_line(f'{done} of {total} solved')} ", nl=done == total, err=True)
         if done == total:
             machine.remove_progress_listener(report)
 

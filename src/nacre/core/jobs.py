@@ -124,7 +124,7 @@ def _announcer(description: str) -> Callable[[int, int], None]:
         left = clock.left(done, total)
         if done > 1 and left > ANNOUNCED_S and not is_said:
             is_said = True
-            announce(f"{description}: about {duration(left)} for {total - done} of {total} patterns", left)
+            announce(f"{description}: about {duration(left)} for {total - done} of {total} solutions", left)
 
     return hear
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 import scipy.sparse
@@ -23,6 +24,7 @@ from nacre.matter.periodic.types import Array
 WIDE = 0.9  # walls nearer to the sides of an oblique cell, relative to its centre, need the hexagon
 CORE = 0.55  # corners of the innermost blocks, over the first wall's distance
 THIN = 2  # degree along the radial lines in thin blocks
+SAME = 1e-9  # distance of corners that are equal, over the size of the cell
 EXTRA_POINTS = 6  # of the integrals, beyond the degree: sides are curved
 
 
@@ -236,6 +238,24 @@ class ElementMesh:
             found.append(scipy.sparse.csr_matrix((values, (np.arange(len(number)), number)), shape=shape))
         return found[0], found[1]
 
+    def mirror(self, axis_rad: float, wave: Array) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix] | None:
+        """Return the reflection of the joined edge and continuous functions; None: the mesh is not symmetric.
+
+        Args:
+            axis_rad: angle of the line through the centre on which points stay.
+            wave: the wave vector in 1/nm, along that line.
+        """
+        local = _mirrored(self.blocks, axis_rad)
+        if local is None:
+            return None
+        found = []
+        for matrix, joint in zip(local, self.joints(wave), strict=True):
+            # one of the local functions that belong to each joined one
+            number, at = np.unique(joint.indices, return_index=True)
+            pick = scipy.sparse.csr_matrix((joint.data[at].conj(), (number, at)), shape=joint.shape[::-1])
+            found.append(pick @ matrix @ joint)
+        return found[0], found[1]
+
     def plane_waves(self, wave: Array, numbers: Array) -> Array:
         """Return the integrals of x and y of the local edge functions with plane waves `[2, local, order]`.
 
@@ -249,6 +269,63 @@ class ElementMesh:
             values = np.exp(1j * (at.T @ vectors.T)).view(float)  # real products take half the time
             found.append(np.ascontiguousarray(weighted @ values).view(complex))
         return np.concatenate(found, axis=1)
+
+
+def _flip(degree: int, sign: int, is_slope: bool) -> Array:
+    """Return the coefficients after x -> sign x, of N from `shape_functions`, or of D dx."""
+    if is_slope:
+        return np.asarray(np.diag(float(sign) ** (np.arange(degree) + 1)))
+    found = np.diag(float(sign) ** np.arange(degree + 1))
+    if sign < 0:
+        found[:2, :2] = [[0.0, 1.0], [1.0, 0.0]]
+    return found
+
+
+def _turned(degrees: tuple[int, int], signs: tuple[int, int], swaps: bool) -> tuple[Array, Array]:
+    """Return the coefficients of a block's edge and continuous functions after xi, eta -> signs (xi, eta).
+
+    Args:
+        swaps: exchange xi and eta then.
+    """
+    n, m = (_flip(degree, sign, False) for degree, sign in zip(degrees, signs, strict=True))
+    d, e = (_flip(degree, sign, True) for degree, sign in zip(degrees, signs, strict=True))
+
+    def both(along: Array, across: Array) -> Array:
+        to = "ca" if swaps else "ac"
+        made = np.einsum(f"ab,cd->{to}bd", along, across)
+        return made.reshape(len(along) * len(across), -1)
+
+    first, second = both(d, m), both(n, e)
+    a, b = np.zeros((len(first), second.shape[1])), np.zeros((len(second), first.shape[1]))
+    rows = [[b, second], [first, a]] if swaps else [[first, a], [b, second]]
+    return np.block(rows), both(n, m)
+
+
+@lru_cache(maxsize=16)
+def _mirrored(
+    blocks: tuple[Block, ...], axis_rad: float
+) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix] | None:
+    """Return the reflection of all local edge and continuous functions; None: the blocks are not symmetric."""
+    c, s = np.cos(2.0 * axis_rad), np.sin(2.0 * axis_rad)
+    turn = np.array([[c, s], [s, -c]])
+    every = np.array([block.corners for block in blocks])
+    size = np.abs(every).max()
+    parts: list[list[list[Array | None]]] = [[[None] * len(blocks) for _ in blocks] for _ in range(2)]
+    for k, block in enumerate(blocks):
+        image = every[k] @ turn
+        for j, swaps, x, y in product(range(len(blocks)), (False, True), (1, -1), (1, -1)):
+            moved = image[::x, ::y]
+            moved = moved.swapaxes(0, 1) if swaps else moved
+            if block.region == blocks[j].region and np.abs(moved - every[j]).max() < SAME * size:
+                break
+        else:
+            return None
+        if block.degrees != blocks[j].degrees:
+            return None
+        for kind, made in enumerate(_turned(block.degrees, (x, y), swaps)):
+            parts[kind][j][k] = made
+    edge, node = (scipy.sparse.csr_matrix(scipy.sparse.bmat(kind)) for kind in parts)
+    return edge, node
 
 
 @lru_cache(maxsize=2)
@@ -368,6 +445,7 @@ class _Numbers:
 
     def __init__(self, cell: Cell) -> None:
         self.lattice = np.array(_vectors(cell))
+        self.inverse = np.linalg.inv(self.lattice)
         self.seen: list[tuple[Array, Array]] = []
         self.starts: dict[object, int] = {}
         self.total = 0
@@ -375,7 +453,7 @@ class _Numbers:
     def place(self, middle: Array, direction: Array) -> Place:
         """Return the place of a side, or of a corner, which has direction 0."""
         for k, (other, way) in enumerate(self.seen):
-            cells = np.linalg.solve(self.lattice.T, middle - other)
+            cells = (middle - other) @ self.inverse
             if np.abs(cells - np.rint(cells)).max() < 1e-6 and way.any() == direction.any():
                 return k, bool(way @ direction < 0.0), np.rint(cells) @ self.lattice
         self.seen.append((middle, direction))

@@ -16,16 +16,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 import scipy.linalg
 import scipy.sparse
+from numpy.typing import NDArray
 
 from nacre.matter.periodic.crossed_solver import Answer, joined_answers
 from nacre.matter.periodic.element_mesh import ElementMesh, Elements, Oval, edge_count, element_mesh, side_distance
 from nacre.matter.periodic.lamellar_solver import GRAZING, is_patterned
 from nacre.matter.periodic.scattering_matrix import Modes, Slab, outgoing_root, respond, scatter, slab
 from nacre.matter.periodic.structure import (
+    NORMAL,
     Cell,
     OrderSolution,
     PatternLayer,
@@ -46,6 +49,8 @@ SEVERAL_WALLS: tuple[Elements, ...] = (
     (4, 3, (0.15, 0.01)), (5, 3, (0.15, 0.015, 0.0015)), (6, 4, (0.15, 0.01)),
 )  # fmt: skip
 BEYOND = 1.3  # orders with a wave number up to this times the largest that propagates are exact
+BASES = 8  # classes of symmetry and directions whose functions are stored
+WAVE_DIGITS = 14  # of wave vectors in 1/nm
 MOST_WALLS = 2
 GAP = 1e-2  # least distance between walls, and from walls to the cell's sides, over the radius
 
@@ -100,17 +105,18 @@ def _ovals_of(shape: Shape) -> tuple[Oval, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Basis:
-    """Discrete plane waves of one Bloch phase: s and p of the exact orders, then the other modes.
+    """Discrete plane waves of one Bloch phase and one class of symmetry: the exact orders, then the other modes.
 
     Attributes:
         numbers: `[order, 2]`, the exact orders.
-        edge, node: joints from the mesh.
+        edge, node: from the functions of the class to those of the mesh's blocks.
         vectors: `[edge function, mode]`, orthonormal.
         gradient: `[mode, continuous function]`.
         curls: `[mode, mode]` of the curl times the curl, in 1/nm^2.
         squared: `[mode]`, squared wave numbers in 1/nm^2.
         is_p: `[mode]`.
         axes: `[order, 2]`, the transverse wave vector's direction.
+        shares: `[exact mode, 2 order]`, amplitudes of unit s waves of the orders, then p waves.
     """
 
     mesh: ElementMesh
@@ -123,6 +129,7 @@ class _Basis:
     squared: Array
     is_p: Array
     axes: Array
+    shares: Array
 
     def modes(self, epsilon: complex, k0: float, held: tuple[Array, float] | None = None) -> Modes:
         """Return a homogeneous medium's modes.
@@ -134,33 +141,45 @@ class _Basis:
         gamma = outgoing_root(np.where(np.abs(rest) < GRAZING, GRAZING, rest))
         admittance = np.where(self.is_p, epsilon / gamma, gamma)
         if held is not None:
-            admittance[held[0]] = admittance[len(self.numbers) + held[0]] = held[1]
+            both = np.concatenate([held[0], len(self.numbers) + held[0]])
+            admittance[: len(self.shares)][np.any(self.shares[:, both], axis=1)] = held[1]
         y = admittance[:, None]
         return Modes(gamma, lambda e: e, lambda h: h / y, lambda e: e, lambda e: y * e)
 
     def channel(self, order: int) -> Array:
         """Return E_x and E_y of an exact order `[mode, 2]`."""
         t_x, t_y = self.axes[order]
-        found = np.zeros((len(self.squared), 2))
-        found[order] = -t_y, t_x
-        found[len(self.numbers) + order] = t_x, t_y
+        s, p = self.shares[:, order], self.shares[:, len(self.numbers) + order]
+        found = np.zeros((len(self.squared), 2), dtype=complex)
+        found[: len(s)] = np.stack([t_x * p - t_y * s, t_y * p + t_x * s], axis=1)
         return found
 
 
-@lru_cache(maxsize=2)
+Mirrors = tuple[tuple[float, int], ...]  # angle of each axis, and 1 or -1 for fields that are even or odd
+
+
+@lru_cache(maxsize=BASES)
 def _basis(
     cell: Cell, walls: tuple[Oval, ...], elements: Elements, wave: tuple[float, float],
-    numbers: tuple[tuple[int, int], ...],
+    numbers: tuple[tuple[int, int], ...], mirrors: Mirrors = (),
 ) -> _Basis:  # fmt: skip
     mesh = element_mesh(cell, walls, elements)
     first, orders = np.array(wave), np.array(numbers)
     edge, node = mesh.joints(first)
+    turns = [(mesh.mirror(axis, first), parity) for axis, parity in mirrors]
+    edge, node = (
+        joint @ _class([(turn[k], parity) for turn, parity in turns if turn is not None], joint.shape[1])
+        for k, joint in enumerate((edge, node))
+    )
     assert cell.period_y is not None
     area = cell.period_x * cell.period_y * np.sin(cell.angle_rad)
     vectors = cell.wave_vectors(orders) + first
     length = np.hypot(*vectors.T)
     is_normal = length < 1e-12 * np.sqrt(area)
-    axes = np.where(is_normal[:, None], [1.0, 0.0], vectors / np.where(is_normal, 1.0, length)[:, None])
+    any_axis = mirrors[0][0] if mirrors else 0.0
+    axes = np.where(
+        is_normal[:, None], [np.cos(any_axis), np.sin(any_axis)], vectors / np.where(is_normal, 1.0, length)[:, None]
+    )
     x, y = (edge.conj().T @ part / np.sqrt(area) for part in mesh.plane_waves(first, orders))
     phase = np.exp(1j * (vectors @ np.array([walls[0].x, walls[0].y])))
     x, y = x * phase, y * phase
@@ -176,19 +195,69 @@ def _basis(
     heights = np.linalg.cholesky(_folded(sum(mesh.heights), node).toarray())
     steps = scipy.linalg.solve_triangular(heights, gradient.conj().T, lower=True, check_finite=False)
     difference = curls - steps.conj().T @ steps
+    exact = solved(exact)
+    own, shares = _independent(exact, np.tile(_image_counts(vectors, mirrors), 2))
     # the nearest orthonormal vectors to the exact orders, and their complement
-    left, _, right = np.linalg.svd(solved(exact), full_matrices=False)
+    scale = shares[np.arange(len(own)), own].real
+    left, _, right = np.linalg.svd(exact[:, own] / scale, full_matrices=False)
     exact = left @ right
     rest = scipy.linalg.qr(exact)[0][:, exact.shape[1] :]
-    values, own = np.linalg.eigh(rest.conj().T @ difference @ rest)
-    every = np.hstack([exact, rest @ own])
+    values, other = np.linalg.eigh(rest.conj().T @ difference @ rest)
+    every = np.hstack([exact, rest @ other])
     return _Basis(
         mesh, orders, edge, node,
         scipy.linalg.solve_triangular(low.conj().T, every, check_finite=False),
         every.conj().T @ gradient, every.conj().T @ curls @ every,
-        np.concatenate([length**2, length**2, np.abs(values)]),
-        np.concatenate([np.zeros(len(orders), dtype=bool), np.ones(len(orders), dtype=bool), values < 0.0]), axes,
+        np.concatenate([np.concatenate([length**2, length**2])[own], np.abs(values)]),
+        np.concatenate([own >= len(orders), values < 0.0]), axes, shares,
     )  # fmt: skip
+
+
+def _class(reflections: list[tuple[scipy.sparse.csr_matrix, int]], size: int) -> scipy.sparse.csr_matrix:
+    """Return orthonormal combinations `[function, combination]` that each reflection multiplies by its parity."""
+    found = reached = scipy.sparse.identity(size, format="csc")
+    for turn, parity in reflections:
+        found = 0.5 * (found + parity * (turn @ found))
+        reached = reached + abs(turn) @ reached
+    first = np.minimum.reduceat(reached.tocsc().indices, reached.tocsc().indptr[:-1])
+    norms = np.sqrt(abs(found).power(2).sum(axis=0)).A1
+    own = np.flatnonzero((first == np.arange(size)) & (norms > 0.1))
+    return scipy.sparse.csr_matrix(found.tocsc()[:, own] @ scipy.sparse.diags(1.0 / norms[own]))
+
+
+def _independent(exact: Array, sizes: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return which parts of orders in a class of symmetry are independent, and the amplitudes of all in them.
+
+    An order and its mirror images have one common part in a class.
+
+    Args:
+        exact: `[function, part]`.
+        sizes: numbers of mirror images of each order, itself included.
+    """
+    products = exact.conj().T @ exact
+    squares = np.diag(products).real
+    own: list[int] = []
+    shares = np.zeros((len(squares), len(squares)), dtype=complex)
+    for k in np.flatnonzero(squares > 1e-6):
+        overlap = np.abs(products[own, k])
+        if np.any(overlap > 0.5 * squares[k]):
+            at = int(np.argmax(overlap))
+            shares[at, k] = products[own[at], k] / (overlap[at] * np.sqrt(sizes[k]))
+        else:
+            own.append(int(k))
+            shares[len(own) - 1, k] = 1.0 / np.sqrt(sizes[k])
+    return np.array(own, dtype=np.intp), shares[: len(own)]
+
+
+def _image_counts(vectors: Array, mirrors: Mirrors) -> Array:
+    """Return how many different mirror images each vector `[order, 2]` has, itself included."""
+    images = [vectors]
+    for axis, _ in mirrors:
+        c, s = np.cos(2.0 * axis), np.sin(2.0 * axis)
+        images += [image @ np.array([[c, s], [s, -c]]) for image in images]
+    size = np.hypot(*vectors.T).max() + NORMAL
+    same = [np.abs(image - vectors).max(axis=1) < 1e-9 * size for image in images]
+    return np.asarray(len(images) / np.sum(same, axis=0))
 
 
 def _folded(matrix: scipy.sparse.csr_matrix, joint: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
@@ -213,10 +282,14 @@ def _layers(stack: PeriodicStack, walls: tuple[Oval, ...], basis: _Basis, k0: fl
     return found
 
 
-def _made(
-    stack: PeriodicStack, k0: float, transverse: Array, step: Elements, least: Array | None = None
-) -> tuple[_Basis, list[Modes | Slab]]:
-    """Return the functions, with the orders `least` among them, and the layers."""
+def _bases(
+    stack: PeriodicStack, k0: float, transverse: Array, step: Elements, numbers: Array | None = None
+) -> list[_Basis]:  # fmt: skip
+    """Return the functions of each class of symmetry.
+
+    Args:
+        numbers: `[order, 2]`, the exact orders; default: those that propagate and some beyond.
+    """
     cell, walls = stack.cell, ovals(stack)
     assert cell.period_y is not None
     if len(walls) > 1 and step in ELEMENT_STEPS:
@@ -225,46 +298,78 @@ def _made(
     more = max(int(np.ceil(0.5 * turns)) - 2, 0)
     elements = step[0] + more, step[1] + more, step[2]
     check_unknowns(edge_count(cell, walls, elements), k0)
-    numbers, _ = propagating(stack, k0, transverse, BEYOND * stack.reach)
-    if least is not None:
-        numbers = np.unique(np.concatenate([numbers, least]), axis=0)
-    wave = float(transverse[0] * k0), float(transverse[1] * k0)
-    basis = _basis(cell, walls, elements, wave, tuple((int(m), int(n)) for m, n in numbers))
-    return basis, _layers(stack, walls, basis, k0)
+    if numbers is None:
+        numbers, _ = propagating(stack, k0, transverse, BEYOND * stack.reach)
+    # rounded, so that wavelengths with this wave vector share their functions
+    wave = round(float(transverse[0] * k0), WAVE_DIGITS), round(float(transverse[1] * k0), WAVE_DIGITS)
+    every = tuple((int(m), int(n)) for m, n in numbers)
+    axes = _mirror_axes(cell, walls, elements, np.array(wave))
+    return [
+        _basis(cell, walls, elements, wave, every, tuple(zip(axes, parities, strict=True)))
+        for parities in product((1, -1), repeat=len(axes))
+    ]
+
+
+def _mirror_axes(cell: Cell, walls: tuple[Oval, ...], elements: Elements, wave: Array) -> tuple[float, ...]:
+    """Return the angles of lines, at right angles, by which reflections leave the cell and the wave alike."""
+    mesh = element_mesh(cell, walls, elements)
+    best: tuple[float, ...] = ()
+    for start in (0.0, 0.5 * cell.angle_rad):
+        axes = tuple(
+            angle
+            for angle in (start, start + 0.5 * np.pi)
+            if abs(wave[1] * np.cos(angle) - wave[0] * np.sin(angle)) < NORMAL
+            and all(wall.a == wall.b or abs(np.sin(2.0 * (wall.turn_rad - angle))) < 1e-12 for wall in walls)
+            and mesh.mirror(angle, wave) is not None
+        )
+        best = max(best, axes, key=len)
+    return best
 
 
 def solve_ovals(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, step: Elements) -> OrderSolution:
     """Return the orders of layers with nested ovals about one centre."""
     transverse, _, _ = incident_wave(stack, theta_rad, phi_rad)
-    basis, layers = _made(stack, k0, transverse, step)
-    places = {(int(m), int(n)): k for k, (m, n) in enumerate(basis.numbers)}
-    fields = scatter(
-        basis.modes(stack.cover**2, k0), layers, [layer.thickness_nm * k0 for layer in stack.layers],
-        basis.modes(stack.substrate**2, k0), basis.channel(places[0, 0]).astype(complex),
-    )  # fmt: skip
-    sides = []
-    for e, index in zip(fields, (stack.cover, stack.substrate.real if stack.is_clear else 0.0), strict=True):
-        numbers, _ = propagating(stack, k0, transverse, index)
-        sides.append({(int(m), int(n)): basis.channel(places[int(m), int(n)]).T @ e for m, n in numbers})
-    answer = Answer(sides[0], sides[1], len(basis.squared))
-    return joined_answers(stack, k0, theta_rad, phi_rad, [answer], "ovals")
+    sides = [(propagating(stack, k0, transverse, stack.cover)[0], stack.cover)]
+    if stack.is_clear:
+        sides.append((propagating(stack, k0, transverse, stack.substrate.real)[0], stack.substrate.real))
+    answers = []
+    for basis in _bases(stack, k0, transverse, step):
+        places = {(int(m), int(n)): k for k, (m, n) in enumerate(basis.numbers)}
+        wave = basis.channel(places[0, 0])
+        if not np.any(wave):
+            continue
+        up, down = scatter(
+            basis.modes(stack.cover**2, k0), _layers(stack, ovals(stack), basis, k0),
+            [layer.thickness_nm * k0 for layer in stack.layers], basis.modes(stack.substrate**2, k0), wave,
+        )  # fmt: skip
+        found: list[dict[tuple[int, int], Array]] = [{}, {}]
+        for made, e, (numbers, _) in zip(found, (up, down), sides, strict=False):
+            for m, n in numbers:
+                made[int(m), int(n)] = basis.channel(places[int(m), int(n)]).conj().T @ e
+        answers.append(Answer(found[0], found[1], len(basis.squared)))
+    return joined_answers(stack, k0, theta_rad, phi_rad, answers, "ovals")
 
 
 def oval_response(
     stack: PeriodicStack, k0: float, transverse: Array, step: Elements, upper: Array, lower: Array
 ) -> Array:  # fmt: skip
     """Return the response (`order_responses`) of layers with nested ovals about one centre."""
-    basis, layers = _made(stack, k0, transverse, step, np.concatenate([upper, lower]))
-    places = {(int(m), int(n)): k for k, (m, n) in enumerate(basis.numbers)}
-    outside, channels = [], []
-    for numbers, index in zip((upper, lower), (stack.cover, stack.substrate), strict=True):
-        at = np.array([places[int(m), int(n)] for m, n in numbers], dtype=int)
-        both = np.array([basis.channel(k) for k in at]).reshape(len(at), len(basis.squared), 2)
-        channels.append(np.concatenate([both[:, :, 0], both[:, :, 1]]).T.astype(complex))
-        outside.append(basis.modes(index**2, k0, (at, index.real)))
-    depths = [layer.thickness_nm * k0 for layer in stack.layers]
-    indices = stack.cover, stack.substrate.real
-    return respond(outside[0], layers, depths, outside[1], (channels[0], channels[1]), indices)
+    total = np.zeros((2 * (len(upper) + len(lower)),) * 2, dtype=complex)
+    for basis in _bases(stack, k0, transverse, step, np.unique(np.concatenate([upper, lower]), axis=0)):
+        places = {(int(m), int(n)): k for k, (m, n) in enumerate(basis.numbers)}
+        outside, channels = [], []
+        for numbers, index in zip((upper, lower), (stack.cover, stack.substrate), strict=True):
+            at = np.array([places[int(m), int(n)] for m, n in numbers], dtype=int)
+            both = np.array([basis.channel(k) for k in at]).reshape(len(at), len(basis.squared), 2)
+            channels.append(np.concatenate([both[:, :, 0], both[:, :, 1]]).T)
+            outside.append(basis.modes(index**2, k0, (at, index.real)))
+        if not any(np.any(channel) for channel in channels):
+            continue
+        depths = [layer.thickness_nm * k0 for layer in stack.layers]
+        layers = _layers(stack, ovals(stack), basis, k0)
+        indices = stack.cover, stack.substrate.real
+        total += respond(outside[0], layers, depths, outside[1], (channels[0], channels[1]), indices)
+    return total
 
 
 def _values(layer: PatternLayer, walls: tuple[Oval, ...]) -> list[complex]:

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
@@ -28,7 +29,7 @@ from nacre.matter.periodic.types import Array
 
 NEAR = 1.2  # orders with a wave number up to this times the index are channels
 FAINT_K = 0.3  # of a substrate whose anomalies lines still show
-LEAST_NODES, MOST_NODES = (6, 8), 40  # along both axes
+LEAST_NODES, EVEN_NODES, MOST_NODES = (6, 8), (8, 8), 40  # along both axes
 EXPENSIVE = "rectangles", "fourier", "ovals"
 TAIL = {True: 2e-3, False: 5e-4}  # largest of the last coefficients, if solutions are expensive and if not
 CHUNK = 2e6  # numbers in the matrices of all directions
@@ -60,20 +61,23 @@ class Channels:
         """Number of channels, two for each order."""
         return 2 * (len(self.upper) + len(self.lower))
 
-    def mirrored(self, response: Array, axis: int) -> Array:
-        """Return Z `[..., channel, channel]` of the mirrored structure at the mirrored wave vector."""
-        first = 0
-        places, signs = [], []
+    def image(self, turn: Array) -> Array:
+        """Return the map `[channel, channel]` of the channels under a rotation or reflection of the lattice.
+
+        Args:
+            turn: `[2, 2]`, orthogonal, applied from the right.
+        """
+        parts = []
         for numbers in (self.upper, self.lower):
             place = {(int(m), int(n)): k for k, (m, n) in enumerate(numbers)}
-            other = numbers * np.where(np.arange(2) == axis, -1, 1)
-            at = np.array([place[int(m), int(n)] for m, n in other], dtype=int)
-            for component in (0, 1):
-                places.append(first + at)
-                signs.append(np.full(len(at), -1.0 if component == axis else 1.0))
-                first += len(at)
-        to, sign = np.concatenate(places), np.concatenate(signs)
-        return np.asarray(sign[:, None] * response[..., to[:, None], to] * sign)
+            other = np.rint(numbers @ self.lattice @ turn @ np.linalg.pinv(self.lattice)).astype(int)
+            to = np.zeros((len(numbers), len(numbers)))
+            to[[place[int(m), int(n)] for m, n in other], np.arange(len(numbers))] = 1.0
+            parts.append(np.kron(turn.T, to))
+        return np.asarray(scipy.linalg.block_diag(*parts))
+
+
+Symmetry = tuple[Array, bool]  # of the response: `turn` of `Channels.image`, and whether it is transposed as well
 
 
 def channels_of(stack: PeriodicStack, wavelength_nm: float) -> Channels:
@@ -247,23 +251,39 @@ def _admittance(waves: Array, index: complex) -> tuple[Array, Array, Array]:
     return (index**2 - beta**2) / gamma, alpha * beta / gamma, (index**2 - alpha**2) / gamma
 
 
-def solved_nodes(counts: Counts, images: list[tuple[int, int]]) -> Array:
-    """Return the nodes `[node, 2]` (numbers along both axes) that are no mirror images of others."""
-    half = [(n + 1) // 2 if sign in images else n for n, sign in zip(counts, ((-1, 1), (1, -1)), strict=True)]
-    return np.stack(np.meshgrid(*map(np.arange, half), indexing="ij"), axis=-1).reshape(-1, 2)
+def _node_images(channels: Channels, counts: Counts, turn: Array) -> NDArray[np.intp]:
+    """Return the number (row by row) of the node to which a symmetry takes each node."""
+    along = [nodes(count) for count in counts]
+    u = np.stack(np.meshgrid(*along, indexing="ij"), axis=-1).reshape(-1, 2)
+    other = u @ channels.span @ turn @ np.linalg.pinv(channels.span)
+    at = [np.argmin(np.abs(own - part[:, None]), axis=1) for own, part in zip(along, other.T, strict=True)]
+    return np.asarray(at[0] * counts[1] + at[1])
 
 
-def fitted(channels: Channels, values: Array, counts: Counts, images: list[tuple[int, int]]) -> Fit:
+def solved_nodes(channels: Channels, counts: Counts, images: list[Symmetry]) -> Array:
+    """Return the nodes `[node, 2]` (numbers along both axes) from which symmetries lead to all others."""
+    first = np.arange(counts[0] * counts[1])
+    for _ in images:
+        for turn, _ in images:
+            np.minimum.at(first, _node_images(channels, counts, turn), first.copy())
+    own = np.flatnonzero(first == np.arange(len(first)))
+    return np.stack(np.divmod(own, counts[1]), axis=1)
+
+
+def fitted(channels: Channels, values: Array, counts: Counts, images: list[Symmetry]) -> Fit:
     """Return the fit to Z at the nodes of `solved_nodes`, `[node, channel, channel]`."""
     size = channels.size
-    half = [(n + 1) // 2 if sign in images else n for n, sign in zip(counts, ((-1, 1), (1, -1)), strict=True)]
-    full = values.reshape(*half, size, size)
-    for axis, count in enumerate(counts):
-        if half[axis] < count:
-            other = np.flip(channels.mirrored(full, axis), axis)
-            full = np.concatenate([full, other], axis=axis)
+    own = solved_nodes(channels, counts, images) @ np.array([counts[1], 1])
+    full, is_known = np.empty((counts[0] * counts[1], size, size), dtype=complex), np.zeros(counts[0] * counts[1], bool)
+    full[own], is_known[own] = values, True
+    while not np.all(is_known):
+        for turn, is_transposed in images:
+            to, of = _node_images(channels, counts, turn), channels.image(turn)
+            new = is_known & ~is_known[to]
+            part = full[new].swapaxes(1, 2) if is_transposed else full[new]
+            full[to[new]], is_known[to[new]] = of @ part @ of.T, True
     matrices = [np.linalg.inv(chebyshev.chebvander(nodes(n), n - 1)) for n in counts]
-    coefficients = np.tensordot(matrices[0], full, axes=1)
+    coefficients = np.tensordot(matrices[0], full.reshape(*counts, size, size), axes=1)
     coefficients = np.moveaxis(np.tensordot(matrices[1], coefficients, axes=(1, 1)), 0, 1)
     return Fit(channels, coefficients)
 
@@ -279,5 +299,5 @@ def next_counts(fit: Fit, tail: float) -> Counts | None:
             continue
         rate = np.log(max(float(sizes.max()) / last, 1.5)) / (count - 2)
         more = 2 * int(np.ceil(0.5 * np.log(last / tail) / rate))
-        found.append(min(count + max(2, more), 2 * count, MOST_NODES))
+        found.append(min(count + max(2, more), 2 * count - count % 2, MOST_NODES))
     return None if tuple(found) == fit.coefficients.shape[:2] else (found[0], found[1])

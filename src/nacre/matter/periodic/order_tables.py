@@ -17,11 +17,13 @@ from nacre.core.jobs import in_workers
 from nacre.core.machine import in_threads
 from nacre.matter.periodic.crossed_solver import box_symmetries
 from nacre.matter.periodic.order_responses import (
+    EVEN_NODES,
     EXPENSIVE,
     LEAST_NODES,
     TAIL,
     Counts,
     Fit,
+    Symmetry,
     channels_of,
     fitted,
     next_counts,
@@ -31,7 +33,7 @@ from nacre.matter.periodic.order_responses import (
 )
 from nacre.matter.periodic.orders import DESCRIPTION, cached_solution, case_key, packed_solutions, unpacked_solutions
 from nacre.matter.periodic.solve import difference, method_of, size_count, solve_many
-from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle, propagating
+from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle, Region, propagating
 
 MAX_THETA = float(np.radians(89.5))  # light beyond is taken as here
 FITTED, PROFILE = (91, (1152, 576, 288, 144, 72)), (16, 48)  # nodes from 0 to 90 degrees, and of a whole turn
@@ -226,6 +228,7 @@ def _fitted_rows(
     """Return the rows of each wavelength and angle, from responses at few wave vectors."""
     channels = [channels_of(*case) for case in zip(stacks, wavelengths_nm.tolist(), strict=True)]
     tail = TAIL[method_of(stacks[0]) in EXPENSIVE]
+    symmetries = _symmetries(stacks[0], images)
 
     def solved(item: tuple[int, Counts, Array]) -> dict[str, Array]:
         w, counts, numbers = item
@@ -234,18 +237,21 @@ def _fitted_rows(
         return {"real": found.real, "imag": found.imag}
 
     fits: dict[int, Fit] = {}
-    left: dict[int, Counts] = dict.fromkeys(range(len(stacks)), LEAST_NODES)
+    is_even = len(symmetries) > len(images)
+    left: dict[int, Counts] = dict.fromkeys(range(len(stacks)), EVEN_NODES if is_even else LEAST_NODES)
     while left:
         items: dict[str, tuple[int, Counts, Array]] = {}
         for w, counts in left.items():
-            every = solved_nodes(counts, images)
+            every = solved_nodes(channels[w], counts, symmetries)
             for i in range(every[-1, 0] + 1):
                 items[f"{step}-{w}-{counts[0]}x{counts[1]}-{i}"] = (w, counts, every[every[:, 0] == i])
+        # wavelengths of equal wave vectors one after the other, since they share functions
+        items = dict(sorted(items.items(), key=lambda item: (item[1][2][0, 0], item[1][1], item[1][0])))
         found = parts.solved(solved, items)
         for w, counts in left.items():
             own = [found[label] for label, item in items.items() if item[0] == w]
             values = np.concatenate([each["real"] + 1j * each["imag"] for each in own])
-            fits[w] = fitted(channels[w], values, counts, images)
+            fits[w] = fitted(channels[w], values, counts, symmetries)
         more = {w: next_counts(fits[w], tail) for w in left}
         left = {w: counts for w, counts in more.items() if counts is not None}
     angles, azimuths = directions
@@ -382,6 +388,30 @@ def _images(stack: PeriodicStack) -> list[tuple[int, int]]:
     found = [(-1, 1)] if even_x else []
     found += [(1, -1)] if even_y else []
     return [*found, (-1, -1)] if even_x and even_y else found
+
+
+def _symmetries(stack: PeriodicStack, images: list[tuple[int, int]]) -> list[Symmetry]:
+    """Return the symmetries of the response: mirror images, and of two periods reciprocity and a diagonal mirror.
+
+    By reciprocity, the response at the opposite wave vector is the transpose.
+    """
+    found = [(np.diag(signs).astype(float), False) for signs in images]
+    cell, shapes = stack.cell, [shape for layer in stack.layers for shape, _ in layer.shapes]
+    if cell.period_y is None:
+        return found
+    found.append((-np.eye(2), True))
+    c, s = np.cos(cell.angle_rad), np.sin(cell.angle_rad)
+    turn = np.array([[c, s], [s, -c]])  # exchanges the lattice vectors, if these are of one length
+    if cell.period_x != cell.period_y:
+        return found
+    if all(isinstance(shape, Rectangle) for shape in shapes):
+        is_alike = cell.is_rectangular and box_symmetries(stack)[2]
+    else:
+        at = np.random.default_rng(0).uniform(-300.0, 300.0, (2, 200))
+        is_alike = all(
+            isinstance(s, Region) and np.allclose(s.distance(*at), s.distance(*(turn @ at)), atol=1e-6) for s in shapes
+        )
+    return [*found, (turn, False)] if is_alike else found
 
 
 def _is_even(shape: object, axis: int) -> bool:
