@@ -101,3 +101,12 @@ def test_a_blend_of_itself_ends(folder: Path) -> None:
     path.write_text('family = "blend"\nmask = 0.5\nfirst = {recipe = "blend.toml"}\nsecond = {recipe = "gold.toml"}\n')
     with pytest.raises(RecipeError, match="deep|circle"):
         nacre.load(path)
+
+
+def test_parts_of_an_even_gradient_keep_98_per_cent_of_its_variance(folder: Path) -> None:
+    """N equal parts of an even gradient lose 1 / N² of its variance."""
+    parts = blend(folder, '{formula = "u"}').model.mixture
+    share = np.array([share for share, _ in parts])
+    mask = np.array([materials[0][0] for _, materials in parts])
+    assert [share.sum(), share @ mask] == pytest.approx([1.0, 0.5])
+    assert 0.98 / 12 <= share @ (mask - 0.5) ** 2 <= 1 / 12

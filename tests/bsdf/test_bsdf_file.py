@@ -15,7 +15,7 @@ from helpers_bsdf import WAVELENGTHS, dielectric, mirror, random_directions
 
 from nacre.bsdf import Bsdf, ParameterAxis
 from nacre.bsdf.compensation import compensate
-from nacre.bsdf.file import HEADER, VERSION
+from nacre.bsdf.file import HEADER, VERSION, check_fields
 from nacre.bsdf.lobes.interface import Diffuse, Microfacet, Specular, bare_base
 from nacre.bsdf.lobes.monolayer import Harmonic
 from nacre.bsdf.lobes.ridge import RidgeTable
@@ -258,3 +258,13 @@ def parts(path: Path) -> tuple[dict, dict[str, bytes]]:
     with zipfile.ZipFile(path) as zipped:
         arrays = {name: zipped.read(name) for name in zipped.namelist() if name != HEADER}
         return json.loads(zipped.read(HEADER)), arrays
+
+
+@pytest.mark.parametrize(
+    "changed", [{"fill": "0.9"}, {"power": np.full((2, 3, 3, 3), 0.25j)}, {"spread_along": None}, {"fill": (0.9,)}]
+)
+def test_fields_of_another_type_are_refused(changed: dict) -> None:
+    lobe = bsdf().lobes[4]
+    check_fields(lobe)
+    with pytest.raises(ValueError):
+        check_fields(dataclasses.replace(lobe, **changed))

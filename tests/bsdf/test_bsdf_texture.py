@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import nacre
 from nacre.bsdf.texture import Texture, parse_formula, read_grey
 from nacre.core.errors import RecipeError
 
@@ -115,3 +116,9 @@ def test_images_are_read_at_texel_centres_and_wrap_round() -> None:
     # row 0 is the top of the picture: v near 1
     at = np.array([[0.25, 0.75], [0.75, 0.75], [0.25, 0.25], [0.75, 0.25], [0.5, 0.75], [1.25, -0.25]])
     np.testing.assert_allclose(texture(at), [10.0, 20.0, 15.0, 12.5, 15.0, 10.0])
+
+
+def test_a_formula_of_positions_has_its_range_over_the_unit_ball() -> None:
+    layer = {"material": "SiO2", "thickness_nm": {"formula": "100 + 40*x + 30*y"}}
+    thickness = nacre.material({"family": "film", "substrate": "Si", "layers": [layer]}).model.layers[0].thickness_nm
+    assert [thickness.low, thickness.high] == pytest.approx([50.0, 150.0], abs=0.5)  # 100 -/+ |(40, 30, 0)|

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,13 @@ import pytest
 from helpers_glass import plain_spheres
 
 import nacre
+from nacre.bsdf.facet_distributions import Roughness
 from nacre.bsdf.lobes.layered import Layered
 from nacre.core.arrays import Array, direction
 from nacre.families.contract import is_direct
 from nacre.families.glass.medium import solve_medium
 from nacre.families.glass.radiative_transfer import AZIMUTHS, Slab, brdf_table
-from nacre.families.glass.tables import balanced, table_weights
+from nacre.families.glass.tables import balanced, diffuse_table, table_weights, walk_error
 from nacre.measure.evaluate import bsdf_spectrum, directional_hemispherical, evaluate_with_error
 
 # no dispersion: the walk refracts all colours with one index
@@ -181,3 +183,11 @@ def test_thickness_and_fraction_may_vary_over_the_surface() -> None:
         np.testing.assert_allclose(bsdf.evaluate(wi, wo, uv), plain.evaluate(wi, wo), rtol=1e-6)
     spheres = {**GLASS["spheres"], "volume_fraction": {"formula": "0.54 + 0.02*v"}}
     assert nacre.material({**GLASS, "quality": "fast", "spheres": spheres}).bsdf(LAM).lobes[0].kind == "masked"
+
+
+def test_a_table_that_is_too_bright_states_its_error() -> None:
+    medium = solve_medium(plain_spheres(125, 1.59, 1.0, 0.55, [520.0]))
+    table = diffuse_table(medium, [Slab.solve(medium, 0, 4e3, 0.5, AZIMUTHS)])
+    bright = replace(table, values=1.1 * table.values)
+    found = walk_error(bright, medium, 4e3, np.array([0.5]), Roughness())
+    assert found == pytest.approx(0.1 / 1.1, abs=0.02)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -390,6 +391,19 @@ def test_a_material_is_stored_and_loaded(tmp_path: Path) -> None:
     again = Bsdf.load(tmp_path / "orders.nacre")
     light, eye = pairs(5)
     assert np.array_equal(again.evaluate(light, eye), orders_lobe().evaluate(light, eye))
+
+
+def test_a_varying_period_is_stored_and_a_period_of_zero_refused(tmp_path: Path) -> None:
+    orders_lobe(varies=True).save(tmp_path / "orders.nacre")
+    again = Bsdf.load(tmp_path / "orders.nacre")
+    light, eye = pairs(5)
+    uv = np.random.default_rng(6).random((len(light), 2))
+    assert np.array_equal(again.evaluate(light, eye, uv), orders_lobe(varies=True).evaluate(light, eye, uv))
+    lobe = again.lobes[0]
+    assert isinstance(lobe, OrdersLobe)
+    axis = lobe.parameters[0]
+    with pytest.raises(ValueError):
+        replace(lobe, parameters=(replace(axis, values=axis.values - axis.values[0]),)).check()
 
 
 def test_an_interrupted_table_resumes_at_the_next_angle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
 from typing import Any
 
 import numpy as np
 import pytest
 
+import nacre
 from nacre.core.errors import NacreError
 from nacre.matter.indices.constant import constant
 from nacre.matter.indices.laws import (
@@ -18,7 +21,7 @@ from nacre.matter.indices.laws import (
     effective_permittivity,
     kramers_kronig,
 )
-from nacre.matter.indices.library import index, lone_axes, pairs_among, partners
+from nacre.matter.indices.library import index, lone_axes, pair_remark, pairs_among, partners
 from nacre.matter.indices.models import EV_NM, Oscillators
 
 ENERGIES = np.array([0.8, 1.3, 1.9, 2.5, 3.7])
@@ -156,6 +159,15 @@ def test_axes_of_crystals_find_their_partners() -> None:
     pair = {"ordinary": "calcite-o", "extraordinary": "calcite-e"}
     assert not lone_axes({"layers": [{"material": pair}]})
     assert len(lone_axes({"layers": [{"material": "calcite-o"}]})) == 1
+
+
+@pytest.mark.parametrize("name", ["calcite-o", "main/CaCO3/Ghosh-e"])
+def test_remarks_state_crystals_that_can_be_read(name: str) -> None:
+    (table,) = re.findall(r"\{.*\}", pair_remark(name))
+    made = tomllib.loads(f"material = {table}")["material"]
+    assert name in made.values()
+    layer = {"material": made, "thickness_nm": 100}
+    assert nacre.material({"family": "film", "substrate": "Si", "layers": [layer]}).model.is_anisotropic
 
 
 def test_a_constant_has_no_pair() -> None:

@@ -336,3 +336,13 @@ def test_averages_over_the_flakes_are_those_of_their_distribution() -> None:
     nodes = np.linspace(0.0, 1.0, 101)
     flakes = DiffuseFlakes(0, 0.1, np.array([10.0, 10.0]), nodes, np.stack([nodes, nodes]), 1.0 - nodes)
     np.testing.assert_allclose(_averages(flakes, 0.3), [1 / 2, 1 / 3, 1 / 2, 1 / 3, 1 / 6], rtol=1e-5)
+
+
+def test_light_to_flakes_is_lost_in_the_coat_above_as_beer_and_lambert_say() -> None:
+    k, thickness_um = 1e-3, 30.0
+    coats = [{"resin": {"n": 1.5, "k": each}, "thickness_um": thickness_um} for each in (0.0, k)]
+    below = recipe()
+    clear, dark = (lit(below | {"strata": [coat, *below["strata"]]}, 0.0) for coat in coats)
+    ratio = dark[0].flakes[0].brightness[0].mean() / clear[0].flakes[0].brightness[0].mean()
+    depth_nm = 4.0 * math.pi * k * 2.0 * thickness_um * 1e3  # down and up
+    assert math.exp(-depth_nm / 480.0) < ratio < math.exp(-depth_nm / 640.0)  # where the eye sees most light

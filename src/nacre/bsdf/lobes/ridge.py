@@ -185,7 +185,7 @@ class RidgeTable(Lobe):
     wavelengths_nm: Array
     power: NDArray[np.float32]
     spread_along: float
-    fill: float = 1.0
+    fill: float
     rotation: Texture | None = None
 
     def check(self) -> None:

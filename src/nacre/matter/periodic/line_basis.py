@@ -221,7 +221,7 @@ def line_basis(mesh: LineMesh, alpha_0: float, reach: float) -> LineBasis:
     waves, flat_waves = plane_waves(mesh, alpha[:resolved], phase)
     waves = np.linalg.solve(mass, waves)
     continuous = _orthonormal(np.hstack([waves, modes[:, resolved:]]), mass)
-    root = np.sqrt(np.maximum(squared[resolved:], 1e-300)) * np.where(alpha[resolved:] < 0, -1.0, 1.0)
+    root = np.sqrt(squared[resolved:]) * np.where(alpha[resolved:] < 0, -1.0, 1.0)
     discontinuous = _orthonormal(np.hstack([flat_waves, slope @ modes[:, resolved:] / (1j * root)]), None)
     alpha = np.concatenate([alpha[:resolved], root])
     return LineBasis(mesh, numbers, alpha, continuous, discontinuous, phase, resolved)

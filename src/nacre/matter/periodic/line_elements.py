@@ -340,7 +340,7 @@ def _wall_grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> Gri
     below = [*outside[last:], (np.inf, stack.substrate**2)]
     inner, middle = tilted[first:last], 0.5 * (placed[1:] + placed[:-1])
     centers = 0.5 * (middle + np.append(middle[:, 1:], middle[:, :1] + period, axis=1)) / k0
-    values = [values_at(layer, x, period / k0) for (layer, _), x in zip(inner, centers, strict=True)]
+    values = [values_at(layer, x, stack.cell.period_x) for (layer, _), x in zip(inner, centers, strict=True)]
     index = max([stack.reach, *(float(np.sqrt(np.asarray(v, dtype=complex)).real.max()) for v in values)])
     width = np.diff(placed, append=placed[:, :1] + period, axis=1)
     least = 0.25 * GRADING**layers * period  # of elements at the ends of a graded region, but for a factor of 2

@@ -406,7 +406,7 @@ def _on_nodes(power: Array, orders: Array, case: RidgeCase, along: float) -> Arr
     step = case.wavelength_nm / (case.statistics.period_nm * case.cover * chord)
     sines = orders / chord
     nodes = np.linspace(-1.0, 1.0, SINES)
-    place = np.clip(np.interp(nodes, sines, np.arange(len(sines))), 0.0, len(sines) - 1.0)
+    place = np.interp(nodes, sines, np.arange(len(sines)))
     low = np.minimum(place.astype(int), max(len(sines) - 2, 0))
     weight = np.zeros((SINES, len(sines)))
     weight[np.arange(SINES), low] = 1.0 - (place - low)

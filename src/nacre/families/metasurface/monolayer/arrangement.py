@@ -289,7 +289,7 @@ def measured_structure_factor(pattern: Pattern, q_edges_per_nm: Array) -> Array:
 
 @compiled(nogil=True)
 def _spread(u, density):  # type: ignore[no-untyped-def]  # numba
-    mesh = density.shape[0]
+    mesh = len(density)
     for j in range(u.shape[0]):
         ix, iy = int(np.floor(u[j, 0])), int(np.floor(u[j, 1]))
         fx, fy = u[j, 0] - ix, u[j, 1] - iy

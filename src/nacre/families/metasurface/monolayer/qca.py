@@ -110,9 +110,7 @@ class NeighbourTable:
         return out + plane_wave_sums(self.geometry, w, kappa)
 
 
-def neighbour_sums_at(
-    geometry: NeighbourGeometry, directions: Directions, includes_near_fields: bool = True
-) -> ComplexArray:
+def neighbour_sums_at(geometry: NeighbourGeometry, directions: Directions, includes_near_fields: bool) -> ComplexArray:
     """Return Q at a few directions without tabulation; see `NeighbourTable.at`.
 
     Without `includes_near_fields` it holds only the monolayer plane waves, like a sheet.

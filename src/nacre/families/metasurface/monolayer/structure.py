@@ -192,7 +192,7 @@ def _core_rule() -> tuple[Array, Array]:
 
 @lru_cache(maxsize=64)
 def core_correction(packing: float) -> CoreCorrection:
-    """Return the correction at a packing; zero if the closed form has an empty core."""
+    """Return the correction at a packing above `SMALLEST_MENDED`."""
     x, weight = _core_rule()
     d, a = _compressibility(packing), baus_colot_scale(packing)
     direct = -d * (1 - a * a * packing + a * a * packing * _overlap(x / a))
@@ -200,8 +200,6 @@ def core_correction(packing: float) -> CoreCorrection:
     moved = float(inside.sum())
     z = (1.0 + sum(c * packing**k for k, c in enumerate(_VIRIAL, start=2))) / (1 - packing) ** 2
     step = (z - 1) / (2 * packing) - float(baus_colot_pair_correlation(1.0, packing))
-    if moved < 1e-6 or step < 1e-6:
-        return CoreCorrection(0.0, 1.0, (x, 0.0 * x), (x, 0.0 * x))
     # int_1^inf step e^{-decay (r-1)} r dr = moved
     decay = (step + np.sqrt(step**2 + 4 * step * moved)) / (2 * moved)
     t, w = np.polynomial.laguerre.laggauss(40)
@@ -272,10 +270,9 @@ def hard_disk_structure(density_per_nm2: float, packing: float, q_max_per_nm: fl
     q = np.asarray(np.arange(0, -(-count // S_BLOCK) * S_BLOCK) * S_STEP, dtype=np.float64)
     s = np.concatenate([baus_colot(block, packing) for block in np.split(q, q.size // S_BLOCK)])[:count]
     q = q[:count]
-    mend = core_correction(packing) if packing > SMALLEST_MENDED else None
     x, h = _hard_disk_excess(float(packing))
-    if mend is not None and mend.amplitude > 0.0:
-        s = s + mend.spectrum(q, packing)
+    if packing > SMALLEST_MENDED:
+        s = s + core_correction(packing).spectrum(q, packing)
     # near freezing the sum reaches -0.014
     return Structure("hard-disk", density_per_nm2, a, q / a, np.maximum(s, 0.0), x * a, h)
 
