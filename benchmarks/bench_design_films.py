@@ -33,8 +33,7 @@ from common import Row, StoredResults, Worker, report, run_clock_by_cpu, searche
 from nacre.light import SRGB_WHITE_XYZ, srgb_decode, srgb_linear_to_xyz, xyz_to_lab
 from nacre.matter.indices.library import index
 from nacre.optimise.merit import MeritFunction, Operand, default_wavelengths_nm
-from nacre.optimise.thin_film.problem import Medium, StackProblem
-from nacre.optimise.thin_film.search import StackSolution, many, search
+from nacre.optimise.thin_film.search import Medium, StackProblem, StackSolution, many, search
 
 GRID = default_wavelengths_nm()
 COATINGS = ("SiO2", "MgF2", "TiO2", "Si", "Ge", "Cr", "Ti", "W")

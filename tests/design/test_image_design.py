@@ -15,9 +15,8 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
 from nacre.formats.number_maps import read_process
 from nacre.light import delta_e_2000, lab_to_lch, lab_to_xyz, white_xyz, xyz_to_lab
-from nacre.optimise.image.files import read_picture
+from nacre.optimise.image.files import read_picture, srgb_lab
 from nacre.optimise.image.matching import HUE_COST, dither, has_same_hue, map_into_solid, match_colours
-from nacre.optimise.image.pixels import srgb_lab
 from nacre.optimise.task import read_task
 
 WHITE = white_xyz("D65", "10deg")

@@ -13,7 +13,7 @@ from nacre.core.errors import RecipeError
 from nacre.families.relief.diffraction_orders import Coherence, coating_reflectance
 from nacre.families.relief.plane_cut import CutGeometry
 from nacre.matter.indices.constant import named_constant
-from nacre.optimise.relief import refine as refinement
+from nacre.optimise.relief import search as refinement
 from nacre.optimise.relief.merit import Evaluator, Problem, View
 from nacre.optimise.run import run
 

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from nacre.core.errors import RecipeError
-from nacre.optimise.relief import pictures
+from nacre.optimise.relief import target
 from nacre.optimise.run import read_target
 
 BASE = """
@@ -57,10 +57,10 @@ def test_published_names_mean_the_same(tmp_path: Path, ours: str, theirs: str) -
 
 
 def test_published_colours_are_not_css() -> None:
-    assert pictures.parse_colour("green", "x").tolist() == [0, 1, 0]
-    assert pictures.parse_colour("purple", "x").tolist() == [0.5, 0, 1]
-    assert np.allclose(pictures.parse_colour("#ff8000", "x"), [1, 128 / 255, 0])
-    assert np.allclose(pictures.parse_colour("#f80", "x"), [1, 136 / 255, 0])
+    assert target.parse_colour("green", "x").tolist() == [0, 1, 0]
+    assert target.parse_colour("purple", "x").tolist() == [0.5, 0, 1]
+    assert np.allclose(target.parse_colour("#ff8000", "x"), [1, 128 / 255, 0])
+    assert np.allclose(target.parse_colour("#f80", "x"), [1, 136 / 255, 0])
 
 
 def test_iridescent_colours_change_with_direction(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_grey_levels_do_not_depend_on_the_bit_depth(tmp_path: Path) -> None:
     ramp = np.tile(np.linspace(0, 255, 64).astype(np.uint8), (64, 1))
     Image.fromarray(ramp).save(tmp_path / "8.png")
     Image.fromarray(ramp.astype(np.uint16) * 257).save(tmp_path / "16.png")
-    shallow, deep = (pictures.load_picture(tmp_path / name, "t") for name in ("8.png", "16.png"))
+    shallow, deep = (target.load_picture(tmp_path / name, "t") for name in ("8.png", "16.png"))
     np.testing.assert_allclose(deep, shallow, atol=1.0 / 255)  # 8 bits round
 
 
@@ -144,18 +144,18 @@ def test_transparent_areas_are_dark(tmp_path: Path) -> None:
     Image.fromarray(drawing).save(tmp_path / "opaque.png")
     white = np.full_like(drawing, 255)
     Image.fromarray(np.dstack([white, white, white, drawing])).save(tmp_path / "white.png")
-    opaque, white_on_clear = (pictures.load_picture(tmp_path / name, "t") for name in ("opaque.png", "white.png"))
+    opaque, white_on_clear = (target.load_picture(tmp_path / name, "t") for name in ("opaque.png", "white.png"))
     np.testing.assert_allclose(white_on_clear, opaque, atol=1.0 / 255)
     black = np.zeros_like(drawing)
     Image.fromarray(np.dstack([black, black, black, drawing])).save(tmp_path / "black.png")
     with pytest.raises(RecipeError, match="is blank"):
-        pictures.load_picture(tmp_path / "black.png", "t")
+        target.load_picture(tmp_path / "black.png", "t")
 
 
 @pytest.mark.parametrize("size", [(96, 48), (48, 96)])
 def test_a_rectangular_drawing_is_padded(tmp_path: Path, size: tuple[int, int]) -> None:
     Image.fromarray(stroke(size)).save(tmp_path / "wide.png")
-    shown = pictures.load_picture(tmp_path / "wide.png", "t")[..., 0] > 0.5
+    shown = target.load_picture(tmp_path / "wide.png", "t")[..., 0] > 0.5
     rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
     drawn = stroke(size) > 0
     wanted = drawn.any(axis=0).sum() / drawn.any(axis=1).sum()
@@ -169,7 +169,7 @@ def test_the_camera_orientation_is_applied(tmp_path: Path) -> None:
     exif[0x0112] = 6  # the camera was turned by a quarter: viewers turn the picture clockwise
     Image.fromarray(np.rot90(drawing)).save(tmp_path / "turned.png", exif=exif)
     Image.fromarray(drawing).save(tmp_path / "upright.png")
-    turned, upright = (pictures.load_picture(tmp_path / name, "t") for name in ("turned.png", "upright.png"))
+    turned, upright = (target.load_picture(tmp_path / name, "t") for name in ("turned.png", "upright.png"))
     np.testing.assert_array_equal(turned, upright)
 
 

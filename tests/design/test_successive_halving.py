@@ -11,7 +11,7 @@ from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.measure.geometry import Geometry
 from nacre.optimise.evaluation import evaluate
 from nacre.optimise.measurement import simulate_measurement
-from nacre.optimise.methods.broyden import Descent, gauss_newton_step
+from nacre.optimise.methods.local_minima import Descent, gauss_newton_step
 from nacre.optimise.methods.successive_halving import SuccessiveHalvingSearch
 from nacre.optimise.problem import Budget
 from nacre.optimise.run import budget_of, choose_search

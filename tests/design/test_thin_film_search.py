@@ -18,8 +18,18 @@ from nacre.optimise.merit import MeritFunction, Operand, default_wavelengths_nm
 from nacre.optimise.problem import Budget
 from nacre.optimise.thin_film.levenberg_marquardt import descend, workspace
 from nacre.optimise.thin_film.merit_kernel import compile_merit, evaluate, failure_share
-from nacre.optimise.thin_film.problem import Medium, Slot, StackProblem
-from nacre.optimise.thin_film.search import Engine, GeneticOptions, Stack, StackSolution, is_alike, many, search
+from nacre.optimise.thin_film.search import (
+    Engine,
+    GeneticOptions,
+    Medium,
+    Slot,
+    Stack,
+    StackProblem,
+    StackSolution,
+    is_alike,
+    many,
+    search,
+)
 
 ROUNDING = 1e-11
 GRID = default_wavelengths_nm()

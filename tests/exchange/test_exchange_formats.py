@@ -27,8 +27,8 @@ from nacre.formats.bsdf_tables import (
     write_zemax,
     zemax_table,
 )
-from nacre.formats.gltf import ThinFilm, read_gltf, read_materialx, write_gltf, write_materialx
 from nacre.formats.measured_lobes import measured_table, read_gonio_csv, rgb_basis, write_gonio_csv
+from nacre.formats.scene_files import ThinFilm, read_gltf, read_materialx, write_gltf, write_materialx
 from nacre.readers.bsdf.databases import RglBsdf, read_tensor
 from nacre.readers.bsdf.ray_tracers import read_zemax_table, scatter_direction
 from nacre.recipe.toml import dump_toml

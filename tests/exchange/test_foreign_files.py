@@ -13,7 +13,7 @@ from nacre.analysis.import_export import import_material
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.formats.bsdf_tables import rgl_fields
-from nacre.formats.gltf import read_gltf, read_materialx
+from nacre.formats.scene_files import read_gltf, read_materialx
 from nacre.readers.bsdf.databases import read_tensor
 
 ROUGH = {"family": "film", "substrate": "Ti", "surface": {"roughness": 0.3}}

@@ -12,7 +12,7 @@ import nacre
 from nacre.analysis.thin_film import fit_thin_film
 from nacre.cli import run
 from nacre.formats.bsdf_tables import slice_values, write_slice
-from nacre.formats.gltf import read_gltf, read_materialx
+from nacre.formats.scene_files import read_gltf, read_materialx
 from nacre.recipe.toml import dump_toml
 
 FILM = {

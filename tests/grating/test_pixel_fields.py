@@ -10,8 +10,7 @@ import pytest
 
 import nacre
 from nacre.formats.layouts import write_pixel_field
-from nacre.optimise.image.files import ParameterMap
-from nacre.optimise.image.pixels import write_pixels
+from nacre.optimise.image.files import ParameterMap, write_pixels
 
 MADE: dict[str, Any] = {
     "family": "grating", "substrate": {"n": 1.5}, "lattice": {"period_nm": 300},

@@ -18,9 +18,8 @@ from scipy.io import netcdf_file
 
 from nacre.core.errors import NacreError
 from nacre.readers.heights.surface import filled, length_um, roughness
-from nacre.readers.measurement import AmbiguousFileError, ReadOptions
+from nacre.readers.measurement import AmbiguousFileError, ReadOptions, write_measurements
 from nacre.readers.registry import open_file, recognise
-from nacre.readers.report import write_measurements
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "reference" / "instruments" / "heights"
 DIGITS = 2e-7  # the readings are printed with 8 digits

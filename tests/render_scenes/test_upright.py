@@ -364,7 +364,7 @@ def test_any_mesh_fits_the_frame(tmp_path: Path, name: str, scene: str) -> None:
 
 def test_a_drawing_stands_on_the_screen_as_a_design_aims_at_it(tmp_path: Path) -> None:
     """The picture that a target asks for, looked up in the directions of the screen's pixels, is the drawing."""
-    from nacre.optimise.relief.pictures import load_picture, picture_on_directions
+    from nacre.optimise.relief.target import load_picture, picture_on_directions
     from nacre.picture.picture import beam_direction, screen_directions
 
     drawn = letter(tmp_path / "r.png")

@@ -9,9 +9,8 @@ import pytest
 from PIL import Image
 
 from nacre import light, plot
-from nacre.analysis.sweep import run_sweep
+from nacre.analysis.sweep import read_sweep, run_sweep, sweep_figure
 from nacre.analysis.sweep_plan import load_sweep
-from nacre.analysis.sweep_results import read_sweep, sweep_figure
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.core.jobs import Workers

@@ -22,7 +22,7 @@ from nacre.material.material import Material, MaterialLike, as_material
 from nacre.matter.stack.incoherent import incoherent_coherence, incoherent_powers
 from nacre.matter.stack.solve import solve
 from nacre.matter.stack.stack import Stack
-from nacre.readers.ellipsometry.common import CONVENTIONS, standard_delta
+from nacre.readers.ellipsometry_units import CONVENTIONS, standard_delta
 from nacre.readers.measurement import AmbiguousFileError, Measurement
 from nacre.recipe.model import validate
 from nacre.recipe.path_tables import InstrumentSpec

@@ -24,7 +24,6 @@ from typing import Any
 
 import numpy as np
 
-from nacre.analysis import intervals as ci
 from nacre.analysis.ellipsometry import EllipsometryData, ellipsometry_data
 from nacre.analysis.fit_data import (
     ColourData,
@@ -48,18 +47,23 @@ from nacre.core.errors import NacreError, RecipeError
 from nacre.families.contract import is_direct
 from nacre.material.material import Material
 from nacre.optimise.methods.least_squares import (
+    INTERVALS,
     SCOUTS_PER_PARAMETER,
     STEP,
     STOCHASTIC_STEP,
     LocalMinimum,
+    correlation,
     is_distinct,
+    is_nonlinear,
     minimise_residuals,
+    profile_interval,
+    resampled_intervals,
     sobol_points,
 )
 from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
-from nacre.readers.own_tables import ORDERS
 from nacre.readers.registry import open_file
+from nacre.readers.table import ORDERS
 from nacre.recipe.path_tables import by_path, with_options
 
 MAX_PARAMETERS = 12
@@ -308,8 +312,8 @@ def run_fit(
     Raises:
         NacreError: no start can be computed.
     """
-    if intervals not in ci.METHODS:
-        raise NacreError(f'intervals = "{intervals}" is not known; choose one of {", ".join(ci.METHODS)}')
+    if intervals not in INTERVALS:
+        raise NacreError(f'intervals = "{intervals}" is not known; choose one of {", ".join(INTERVALS)}')
     if weights not in WEIGHTS:
         raise NacreError(f'weights = "{weights}" is not known; choose one of {", ".join(WEIGHTS)}')
     tied = read_ties(material, [number.path for number in free]) if ties is None else ties
@@ -356,7 +360,7 @@ def run_fit(
     linked = {
         path: float(value) for path, value in problem.values(best_minimum.point).items() if path in tied.expressions
     }
-    correlations = ci.correlation(best_minimum, measured.values.size)
+    correlations = correlation(best_minimum, measured.values.size)
     agreement = _agreement(measured, residual, len(free))
     relative = agreement[0].relative_rms if isinstance(measured, Joint) and len(agreement) == 1 else losses[0]
     return Fit(numbers, fitted, residual, rms, relative, losses, problem.evaluations, linked, correlations, agreement)
@@ -452,7 +456,7 @@ class _Problem:
     def with_intervals(
         self, numbers: tuple[FittedNumber, ...], end: LocalMinimum, method: str
     ) -> tuple[FittedNumber, ...]:
-        """Return the numbers with their 95 % intervals by a method of `nacre.analysis.intervals`."""
+        """Return the numbers with their 95 % intervals by a method of `least_squares`."""
         spans = [each.high - each.low for each in self._free]
         widths = np.array([number.half_width / span for number, span in zip(numbers, spans)])
         linear = tuple(
@@ -463,12 +467,12 @@ class _Problem:
         whole = any(each.is_whole for each in self._free)
         if method == "linear" or whole or noisy or self._walk_means is not None or end.loss == 0.0:
             return linear
-        if method == "auto" and (not self._is_quick() or not ci.is_nonlinear(self.residual, end, widths)):
+        if method == "auto" and (not self._is_quick() or not is_nonlinear(self.residual, end, widths)):
             return linear
         if method == "resampling":
-            ends = ci.resampled_intervals(self.residual, end, self._seed)
+            ends = resampled_intervals(self.residual, end, self._seed)
         else:
-            ends = np.array([ci.profile_interval(self.residual, end, i, self._width(w)) for i, w in enumerate(widths)])
+            ends = np.array([profile_interval(self.residual, end, i, self._width(w)) for i, w in enumerate(widths)])
         name = "resampling" if method == "resampling" else "profile"
         return tuple(
             replace(n, interval=(f.value(low), f.value(high)), method=name,

@@ -18,7 +18,7 @@ from nacre.bsdf.texture import ParameterAxis
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.formats.foreign_materials import ThicknessMap
-from nacre.formats.gltf import ThinFilm
+from nacre.formats.scene_files import ThinFilm
 from nacre.light import delta_e_2000, lab_to_xyz, spectrum_to_xyz, srgb_linear_to_xyz, xyz_to_lab, xyz_to_srgb_linear
 from nacre.material.material import Material, material_from_data
 

@@ -43,8 +43,7 @@ def read(
     **given: Any,
 ) -> None:  # fmt: skip
     """Say what FILE contains: format, quantities, units, range, and what was assumed or left out."""
-    from nacre.readers import report
-    from nacre.readers.measurement import ReadOptions
+    from nacre.readers.measurement import ReadOptions, describe, lines, write_measurements
 
     for path in filter(None, (plot, output)):
         check_writable(path)
@@ -54,12 +53,12 @@ def read(
     )  # fmt: skip
     found = [measurement for file in files for measurement in _opened(file, options)]
     if as_json:
-        click.echo(json.dumps([report.describe(measurement, show) for measurement in found], ensure_ascii=False))
+        click.echo(json.dumps([describe(measurement, show) for measurement in found], ensure_ascii=False))
     elif not output:
         for measurement in found:
-            click.echo("\n".join(report.lines(measurement, _title(measurement), show)))
+            click.echo("\n".join(lines(measurement, _title(measurement), show)))
     if output:
-        report.write_measurements(output, found)
+        write_measurements(output, found)
         common.note(output)
     if plot:
         from nacre.plot.measurements import measurement_figure

@@ -277,7 +277,7 @@ def plot(
     check_output(path, ".png", ".pdf", ".svg")
     angles = None if angles_deg is None else common.angles(angles_deg)
     if is_sweep:
-        from nacre.analysis.sweep_results import save_sweep_figure
+        from nacre.analysis.sweep import save_sweep_figure
 
         if changes or wavelengths_nm or over or lightness is not None:
             raise NacreError(

@@ -41,7 +41,7 @@ from nacre.core.errors import NacreError
 from nacre.core.files import named, plain, remove_leftovers, reraise_as_oserror, temporary_prefix
 from nacre.core.html import render_page
 from nacre.formats.number_maps import RGB, write_png_stream
-from nacre.formats.usd import write_usd
+from nacre.formats.scene_files import write_usd
 from nacre.light import clip_to_srgb, srgb_decode, srgb_encode
 
 HORIZON = 1e-4  # smallest cosine in divisions

@@ -18,7 +18,7 @@ from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import named, plain, why_unreadable
 from nacre.light import lch_to_lab
 from nacre.optimise.targets import plausible
-from nacre.readers.colours.lab import check_scale, named_lab
+from nacre.readers.colour_tables import check_scale, named_lab
 from nacre.readers.columns import knows
 from nacre.readers.headings import Meaning, light_above, meanings
 from nacre.readers.measurement import Measurement

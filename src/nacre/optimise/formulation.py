@@ -33,18 +33,18 @@ from nacre.measure.geometry import Geometry, aspecular_pairs, named_geometries
 from nacre.measure.texture import Fidelity, TextureQuantity, texture_values
 from nacre.optimise.checkpoint import Checkpointer, DesignFolder, unreadable
 from nacre.optimise.evaluation import geometries_of
-from nacre.optimise.formulation_spec import (
+from nacre.optimise.merit import MeritFunction
+from nacre.optimise.methods.least_squares import minimise_residuals, sobol_points
+from nacre.optimise.methods.surrogate import Correction
+from nacre.optimise.problem import Budget, BudgetExhausted, Changes, Result, Search
+from nacre.optimise.solutions import NEED_BYTES, RECIPE, clear_solutions, folder_of, write_recipe
+from nacre.optimise.spec import (
     MOST_ANSWERS,
     DyeSpec,
     FormulationSpec,
     LibrarySpec,
     PigmentSpec,
 )
-from nacre.optimise.merit import MeritFunction
-from nacre.optimise.methods.least_squares import minimise_residuals, sobol_points
-from nacre.optimise.methods.surrogate import Correction
-from nacre.optimise.problem import Budget, BudgetExhausted, Changes, Result, Search
-from nacre.optimise.solutions import NEED_BYTES, RECIPE, clear_solutions, folder_of, write_recipe
 from nacre.optimise.targets import Target, merit_function, read_targets
 from nacre.optimise.task import read_data
 from nacre.recipe.fingerprint import fingerprint

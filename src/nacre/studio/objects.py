@@ -26,9 +26,8 @@ from nacre.picture.scenes.catalogue import MATERIALS, SCENES, SUBJECT, Part
 from nacre.picture.scenes.subjects import MESH_SUFFIXES, TO_Z_UP, read_mesh, stand_on_floor
 from nacre.picture.shapes.mesh import Mesh
 from nacre.picture.shapes.printed import banknote_print
-from nacre.readers import report
-from nacre.readers.colours.lab import named_lab
-from nacre.readers.measurement import AmbiguousFileError, Measurement
+from nacre.readers.colour_tables import named_lab
+from nacre.readers.measurement import AmbiguousFileError, Measurement, points
 from nacre.readers.registry import open_file
 from nacre.studio.folder import build
 
@@ -324,7 +323,7 @@ def measurement_job(request: Mapping[str, Any], emit: Any = None) -> bytes:
 def _summary(measurement: Measurement, name: str) -> str:
     own = f' "{measurement.name}"' if measurement.name else ""
     said = "; ".join((*measurement.assumed, *measurement.left_out))
-    return f"{name}:{own} {measurement.kind}, {report.points(measurement)} points" + (f"; {said}" if said else "")
+    return f"{name}:{own} {measurement.kind}, {points(measurement)} points" + (f"; {said}" if said else "")
 
 
 def _curves(measurement: Measurement) -> list[dict[str, Any]]:

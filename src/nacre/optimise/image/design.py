@@ -26,9 +26,8 @@ from nacre.optimise.evaluation import SEED_OFFSET, TargetResult
 from nacre.optimise.gamut import colour_chart
 from nacre.optimise.html_report import PICTURE, REPORT
 from nacre.optimise.image.colour_grid import ColourGrid, ColourSampler, Palette, fine_grid, level_grid
-from nacre.optimise.image.files import ParameterMap, write_maps
+from nacre.optimise.image.files import ParameterMap, screen_rgb, srgb_lab, write_maps, write_pixels
 from nacre.optimise.image.matching import blurred, dither, has_same_hue, map_into_solid, match_colours, nearest_colours
-from nacre.optimise.image.pixels import screen_rgb, srgb_lab, write_pixels
 from nacre.optimise.solutions import Design, DesignProgress, Solution, claim, clear_solutions, conclude, write_recipe
 from nacre.optimise.task import DesignTask
 from nacre.optimise.thin_film.adapter import interrupt_flag

@@ -27,12 +27,10 @@ from nacre.light import delta_e_2000, lab_to_xyz, smooth_weights, white_xyz, xyz
 from nacre.material.material import Material, load
 from nacre.optimise.checkpoint import Checkpointer
 from nacre.optimise.evaluation import TargetResult
-from nacre.optimise.image.files import ParameterMap, write_maps
-from nacre.optimise.image.pixels import screen_rgb, srgb_lab
-from nacre.optimise.image.validation import PERIOD, TURN
+from nacre.optimise.image.files import ParameterMap, screen_rgb, srgb_lab, write_maps
 from nacre.optimise.solutions import Design, DesignProgress, Solution, claim, clear_solutions, conclude, write_recipe
 from nacre.optimise.targets import Target
-from nacre.optimise.task import DesignTask
+from nacre.optimise.task import PERIOD, TURN, DesignTask
 
 PRIMARIES_NM = (612.0, 545.0, 464.0)  # wavelengths whose mixtures contain sRGB
 LEVELS = 64  # dot brightnesses

@@ -21,8 +21,8 @@ from nacre.core.errors import NacreError
 from nacre.light import lamp_lines_nm, with_lamp_lines
 from nacre.optimise.measurement import evaluation_wavelengths
 from nacre.optimise.merit import MeritFunction
-from nacre.optimise.methods.broyden import Descent, descend
 from nacre.optimise.methods.least_squares import is_distinct, reweighted
+from nacre.optimise.methods.local_minima import Descent, descend
 from nacre.optimise.problem import STOP_TOL, Problem, Search
 
 COARSE_NM = np.linspace(400.0, 700.0, 11)  # smooth spectra have colours within a few 0.1 dE00

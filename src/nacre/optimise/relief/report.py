@@ -39,8 +39,7 @@ from nacre.optimise.relief.merit import (
     exact_losses,
     measure_design,
 )
-from nacre.optimise.relief.refine import check_refinable
-from nacre.optimise.relief.search import HEIGHTS, ReliefSearch
+from nacre.optimise.relief.search import HEIGHTS, ReliefSearch, check_refinable
 from nacre.optimise.relief.target import TargetSpec
 from nacre.optimise.relief.task import HEIGHT_FILE, ReliefTask
 from nacre.optimise.solutions import RECIPE, Design, DesignProgress, Solution, conclude

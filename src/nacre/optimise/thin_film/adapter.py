@@ -27,8 +27,7 @@ from nacre.optimise.solutions import are_alike
 from nacre.optimise.spec import LayersSpec
 from nacre.optimise.targets import Target, merit_function
 from nacre.optimise.task import DesignTask, bounds_of, palette_name, substrates
-from nacre.optimise.thin_film.problem import Medium, Slot, StackProblem
-from nacre.optimise.thin_film.search import StackSolution, default_evaluations, search
+from nacre.optimise.thin_film.search import Medium, Slot, StackProblem, StackSolution, default_evaluations, search
 from nacre.optimise.thin_film.search import many as many_stacks
 from nacre.recipe.model import LENGTH_UNITS_NM
 from nacre.recipe.path_tables import by_path

@@ -14,7 +14,7 @@ import numpy as np
 
 from nacre.core.errors import NacreError
 from nacre.light import lch_to_lab, xyy_to_xyz
-from nacre.readers.colours.lab import SRGB, colours, illuminant_in, observer_in, spectra_scale
+from nacre.readers.colour_tables import SRGB, colours, illuminant_in, observer_in, spectra_scale
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead
 from nacre.readers.spectra import common

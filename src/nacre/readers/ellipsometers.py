@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.readers.ellipsometry.common import UNITS, ellipsometry, numbers, same_length, text_lines, to_nm, within
+from nacre.readers.ellipsometry_units import UNITS, ellipsometry, numbers, same_length, text_lines, to_nm, within
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead
 

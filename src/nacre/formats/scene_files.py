@@ -1,7 +1,11 @@
-"""Single thin films of glTF and MaterialX: files (.gltf, .glb) of a film on a mesh.
+"""Materials in scene files: glTF (.gltf, .glb) with a film on a mesh, MaterialX documents, and USD text (.usda).
 
 The number of `KHR_materials_iridescence` that varies is the thickness: a picture between minimum and maximum, in its
 green channel. glTF counts v downward.
+
+In USD, a MaterialX node becomes a `Shader` prim whose `info:id` is the name of its node definition in the MaterialX
+standard library; the material's output is `outputs:mtlx:surface`, as UsdMtlx writes it, with the version of MaterialX
+(without it, readers take 1.38) and the colour space of its colours. Nodes of a graph lie in a `NodeGraph` prim.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
-from nacre.core.files import atomic_path
+from nacre.core.files import atomic_path, write_text
 from nacre.formats.foreign_materials import GLB_JSON, GLB_MAGIC, ThicknessMap, ThinFilm
 from nacre.formats.foreign_materials import read_gltf as read_gltf
 from nacre.formats.foreign_materials import read_materialx as read_materialx
@@ -242,3 +246,96 @@ def materialx_document(film: ThinFilm, name: str, comment: str = "") -> ET.Eleme
     ET.SubElement(material, "input", name="surfaceshader", type="surfaceshader", nodename=f"{label}_surface")
     ET.indent(root)
     return root
+
+
+TYPES = {
+    "float": "float", "integer": "int", "boolean": "bool", "color3": "color3f", "vector2": "float2",
+    "vector3": "float3", "string": "string", "filename": "asset", "surfaceshader": "token", "BSDF": "token",
+}  # fmt: skip
+# definitions whose name does not end in the type of the output
+DEFINITIONS = {
+    ("dotproduct", "float"): "ND_dotproduct_vector3", ("add", "BSDF"): "ND_add_bsdf",
+    ("surface", "surfaceshader"): "ND_surface",
+}  # fmt: skip
+SPHERE = "Sphere"
+
+
+def write_usd(path: str | Path, document: ET.Element, comment: str = "") -> None:
+    """Write a MaterialX document as a stage with a sphere that has its material.
+
+    Args:
+        document: a `materialx` element with surface shaders, graphs and one material, as nacre writes it.
+        comment: of the layer.
+
+    Raises:
+        NacreError: the file cannot be written.
+    """
+    write_text(Path(path), usd_text(document, comment))
+
+
+def usd_text(document: ET.Element, comment: str = "") -> str:
+    """Return the text of a stage; see `write_usd`."""
+    material = next(element for element in document if element.tag == "surfacematerial")
+    name = material.get("name", "material")
+    surface = next(entry for entry in material if entry.get("name") == "surfaceshader").get("nodename", "")
+    base = f"/Root/{name}"
+    owners = {
+        node.get("name", ""): f"{base}/{graph.get('name')}" for graph in document.iter("nodegraph") for node in graph
+    }
+    lines = [
+        "#usda 1.0", "(", f"    doc = {_quoted(comment)}", '    defaultPrim = "Root"', "    metersPerUnit = 0.01",
+        '    upAxis = "Y"', ")", "", 'def Xform "Root"', "{",
+        f'    def Sphere "{SPHERE}" (', '        prepend apiSchemas = ["MaterialBindingAPI"]', "    )", "    {",
+        "        double radius = 1", f"        rel material:binding = <{base}>", "    }", "",
+        f'    def Material "{name}" (', '        prepend apiSchemas = ["MaterialXConfigAPI"]', "    )", "    {",
+        f"        string config:mtlx:version = {_quoted(document.get('version', '1.39'))}",
+        f"        token outputs:mtlx:surface.connect = <{base}/{surface}.outputs:out>",
+    ]  # fmt: skip
+    space = document.get("colorspace", "")
+    for element in document:
+        if element.tag == "nodegraph":
+            lines += ["", f'        def NodeGraph "{element.get("name")}"', "        {"]
+            for output in element.findall("output"):
+                source = f"{owners[output.get('nodename', '')]}/{output.get('nodename')}.outputs:out"
+                lines.append(f"            token outputs:{output.get('name')}.connect = <{source}>")
+            for node in element:
+                if node.tag != "output":
+                    lines += _shader(node, owners, base, space, " " * 12)
+            lines.append("        }")
+        elif isinstance(element.tag, str) and element.tag != "surfacematerial":
+            lines += _shader(element, owners, base, space, " " * 8)
+    return "\n".join([*lines, "    }", "}", ""])
+
+
+def _shader(node: ET.Element, owners: dict[str, str], base: str, space: str, indent: str) -> list[str]:
+    kind, output = str(node.tag), node.get("type", "")
+    definition = DEFINITIONS.get((kind, output)) or (f"ND_{kind}" if output == "BSDF" else f"ND_{kind}_{output}")
+    lines = ["", f'{indent}def Shader "{node.get("name")}"', indent + "{"]
+    lines.append(f'{indent}    uniform token info:id = "{definition}"')
+    for entry in node.findall("input"):
+        left = f"{indent}    {TYPES[entry.get('type', '')]} inputs:{entry.get('name')}"
+        source = entry.get("nodename")
+        if entry.get("nodegraph"):
+            lines.append(f"{left}.connect = <{base}/{entry.get('nodegraph')}.outputs:{entry.get('output', 'out')}>")
+        elif source:
+            lines.append(f"{left}.connect = <{owners.get(source, base)}/{source}.outputs:out>")
+        else:
+            is_colour = "color3" in (entry.get("type"), output if entry.get("type") == "filename" else "")
+            meaning = f" ( colorSpace = {_quoted(entry.get('colorspace', space))} )" if is_colour and space else ""
+            lines.append(f"{left} = {_value(entry.get('type', ''), entry.get('value', ''))}{meaning}")
+    lines.append(f"{indent}    {TYPES[output]} outputs:out")
+    return [*lines, indent + "}"]
+
+
+def _value(kind: str, text: str) -> str:
+    if kind == "filename":
+        return f"@./{text}@"
+    if kind == "string":
+        return _quoted(text)
+    if kind == "boolean":
+        return str(int(text == "true"))
+    return f"({text})" if "," in text else text
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(re.sub(r"[\x00-\x1f]+", " ", text), ensure_ascii=False)

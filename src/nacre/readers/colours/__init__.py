@@ -1,1 +1,0 @@
-"""Readers for colour lists: by their content."""

@@ -1,1 +1,0 @@
-"""Readers for ellipsometer files: by their content."""
