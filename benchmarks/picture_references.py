@@ -29,10 +29,10 @@ from nacre.material.examples import examples_folder
 from nacre.material.material import load
 from nacre.picture import picture as pictures
 from nacre.picture.camera import Framing
-from nacre.picture.lights.emitter_plugins import read_lamps
+from nacre.picture.emitters import read_lamps
 from nacre.picture.options import Subject
 from nacre.picture.passes import Frame, RenderSettings, Until, render_passes
-from nacre.picture.scenes.catalogue import scene as find_scene
+from nacre.picture.scenes import scene as find_scene
 
 FOLDER = Path(__file__).resolve().parent / "references"
 SIDE = 256

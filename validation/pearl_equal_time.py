@@ -83,8 +83,8 @@ class Sphere:
     def __init__(self, light: str) -> None:
         from nacre.device.variant import use_variant
         from nacre.picture.built_scene import BuiltScene
-        from nacre.picture.lights.emitter_plugins import make_light
-        from nacre.picture.scenes.catalogue import SCENES, Part, Scene
+        from nacre.picture.emitters import make_light
+        from nacre.picture.scenes import SCENES, Part, Scene
 
         self.mi = use_variant()
         shape = Part({"type": "sphere", "center": [0.0, 0.0, 1.0], "radius": 1.0})

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from nacre.picture.lights.environments import studio
+from nacre.picture.environments import studio
 from nacre.studio.blender import write_extension
 from validation._film import canvas
 from validation._rows import finish, row

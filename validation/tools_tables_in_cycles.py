@@ -25,8 +25,8 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, srgb_encode, srgb_linear_to_xyz, xyz_to_lab, xyz_to_srgb_linear
 from nacre.light.display import clip_to_srgb
-from nacre.picture.lights.emitter_plugins import make_environment
-from nacre.picture.lights.environments import studio
+from nacre.picture.emitters import make_environment
+from nacre.picture.environments import studio
 from validation._film import canvas
 from validation._rows import finish, row
 

@@ -23,7 +23,7 @@ from nacre.cli.gallery import (
 from nacre.material.examples import examples_folder
 from nacre.material.material import load
 from nacre.optimise.run import read_target
-from nacre.picture.scenes.catalogue import SCENE_NAMES
+from nacre.picture.scenes import SCENE_NAMES
 
 FAMILIES = ("film", "pearl", "metasurface", "relief")
 IMAGES = Path(__file__).parents[2] / "docs" / "images" / "gallery"

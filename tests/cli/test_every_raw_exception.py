@@ -379,7 +379,7 @@ def test_what_is_said_stays_on_one_line_and_leaves_the_terminal_alone(
 
 
 def test_a_mesh_of_two_coordinates_is_refused(tmp_path: Path) -> None:
-    from nacre.picture.scenes.subjects import read_mesh
+    from nacre.picture.subjects import read_mesh
 
     (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
     with pytest.raises(NacreError, match="flat.obj"):
@@ -438,7 +438,7 @@ def test_a_scene_of_impossible_numbers_is_refused(
 
 
 def test_an_obj_with_tabs_is_read(tmp_path: Path) -> None:
-    from nacre.picture.scenes.subjects import read_mesh
+    from nacre.picture.subjects import read_mesh
 
     text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n"
     (tmp_path / "tabs.obj").write_text(text.replace(" ", "\t"))

@@ -216,7 +216,7 @@ def test_a_blend_is_not_exported_as_one_film(case: Any, tmp_path: Path, monkeypa
 @pytest.mark.render
 @pytest.mark.parametrize("name", ["ball12.glb", "ball12.obj"])
 def test_meshes_keep_their_normals(case: Any, name: str) -> None:
-    from nacre.picture.scenes.subjects import read_mesh
+    from nacre.picture.subjects import read_mesh
 
     mesh = read_mesh(case("F8-gltf-normals") / name)
     radial = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
@@ -225,7 +225,7 @@ def test_meshes_keep_their_normals(case: Any, name: str) -> None:
 
 @pytest.mark.render
 def test_a_box_without_normals_is_flat(case: Any) -> None:
-    from nacre.picture.scenes.subjects import read_mesh
+    from nacre.picture.subjects import read_mesh
 
     mesh = read_mesh(case("F8-obj-no-vn") / "f8_box_novn.obj")
     assert len(mesh.vertices) == 24
@@ -235,8 +235,8 @@ def test_a_box_without_normals_is_flat(case: Any) -> None:
 @pytest.mark.render
 def test_a_flat_object_lies_above_the_floor_in_the_frame(case: Any) -> None:
     from nacre.picture.camera import Framing
-    from nacre.picture.scenes.catalogue import SCENES
-    from nacre.picture.scenes.subjects import read_mesh, stand_on_floor
+    from nacre.picture.scenes import SCENES
+    from nacre.picture.subjects import read_mesh, stand_on_floor
 
     scene = SCENES["sphere"]
     disc = stand_on_floor(read_mesh(case("P-flat-on-floor") / "cd.obj"), scene)

@@ -199,7 +199,7 @@ def test_families_without_mueller_matrices_render_as_depolarising_and_say_so_onc
 ) -> None:
     """The Stokes layers of a sphere under circular light hold power only; random walks have no scalar variant."""
     from nacre.device.bsdf import _say_unpolarised, make_bsdf
-    from nacre.picture.lights.emitter_plugins import polarised_light
+    from nacre.picture.emitters import polarised_light
 
     _say_unpolarised.cache_clear()
     recipe: dict[str, Any] = {"family": family} | DEPOLARISING[family]

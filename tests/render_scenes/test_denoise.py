@@ -62,7 +62,7 @@ def test_skewed_noise_keeps_its_mean() -> None:
 def test_means_that_grain_explains_leave_no_blotches() -> None:
     """Paint of flakes, traced: one pixel in twenty holds nearly all light, and halves do not show that it is grain."""
     from nacre.picture.denoise import KEPT_MEANS, denoised
-    from nacre.picture.samples import smooth
+    from nacre.picture.plugins import smooth
 
     size = (128, 128)
     grain = np.random.default_rng(3).gamma(0.3, 1.0 / 0.3, (*size, 1))
@@ -78,7 +78,7 @@ def test_means_that_grain_explains_leave_no_blotches() -> None:
 def test_smoothing_is_a_gaussian_whose_picture_goes_on_beyond_its_edges(shape: tuple[int, ...], sigma: float) -> None:
     from scipy.ndimage import gaussian_filter
 
-    from nacre.picture.samples import smooth
+    from nacre.picture.plugins import smooth
 
     picture = np.random.default_rng(5).random(shape)
     widths = (sigma, sigma, 0.0)[: len(shape)]

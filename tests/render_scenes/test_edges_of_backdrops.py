@@ -11,8 +11,8 @@ import nacre
 from nacre.device.variant import use_variant
 from nacre.picture.built_scene import BuiltScene
 from nacre.picture.camera import FOV_DEG, Framing
-from nacre.picture.lights.emitter_plugins import make_light
-from nacre.picture.scenes.catalogue import SCENES, fold, with_infinite_backdrop
+from nacre.picture.emitters import make_light
+from nacre.picture.scenes import SCENES, fold, with_infinite_backdrop
 
 pytestmark = pytest.mark.render
 

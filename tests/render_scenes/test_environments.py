@@ -9,8 +9,8 @@ import pytest
 
 from nacre.core.errors import NacreError
 from nacre.light import illuminant, spectrum_to_xyz, table_wavelengths_nm, xyz_weights
-from nacre.picture.lights.emitter_plugins import LIGHTS, check_light
-from nacre.picture.lights.environments import Environment, soft_box, studio, unit_spectrum
+from nacre.picture.emitters import LIGHTS, check_light
+from nacre.picture.environments import Environment, soft_box, studio, unit_spectrum
 
 ROWS = 64
 # noise of 4,096 samples a pixel over a few hundred pixels
@@ -18,7 +18,7 @@ NOISE = 0.01
 
 
 def _places() -> dict[str, Environment]:
-    from nacre.picture.lights.environments import garden, interior, street
+    from nacre.picture.environments import garden, interior, street
 
     return {
         "studio": studio(rows=ROWS),
@@ -98,7 +98,7 @@ def _floor_xyz(light_emitters: dict, reflectance: object, spp: int = 1024) -> np
 @pytest.mark.render
 @pytest.mark.parametrize("turn_deg", [0.0, 77.0])
 def test_the_environment_light_gives_the_irradiance_of_its_map(turn_deg: float) -> None:
-    from nacre.picture.lights.emitter_plugins import make_environment
+    from nacre.picture.emitters import make_environment
 
     environment = studio(rows=ROWS)
     xyz = _floor_xyz({"light": make_environment(environment, 1.0, turn_deg)}, 1.0)
@@ -113,7 +113,7 @@ def test_a_light_with_a_stated_turn_shines_from_there(name: str, tmp_path: Path)
     import OpenEXR
 
     from nacre.device.variant import use_variant
-    from nacre.picture.lights.emitter_plugins import Lamp, make_lights
+    from nacre.picture.emitters import Lamp, make_lights
 
     mi = use_variant()
     if name == "map.exr":
@@ -142,7 +142,7 @@ def test_a_light_with_a_stated_turn_shines_from_there(name: str, tmp_path: Path)
 def test_light_sampling_agrees_with_looking() -> None:
     """Next event estimation of a lit floor equals the radiance found by chance alone."""
     from nacre.device.variant import use_variant
-    from nacre.picture.lights.emitter_plugins import make_environment
+    from nacre.picture.emitters import make_environment
 
     mi = use_variant()
     import drjit as dr
@@ -171,7 +171,7 @@ def test_light_sampling_agrees_with_looking() -> None:
 @pytest.mark.parametrize("light", ["D65", "A", "F11"])
 def test_a_narrow_reflectance_keeps_its_colour_under_any_lamp(light: str) -> None:
     """Spectral end to end: XYZ from Mitsuba equal the integral over the lamp's own spectrum."""
-    from nacre.picture.lights.emitter_plugins import make_environment, spectrum_texture
+    from nacre.picture.emitters import make_environment, spectrum_texture
 
     grid = table_wavelengths_nm()
     reflectance = 0.05 + 0.9 * np.exp(-(((grid - 545.0) / 8.0) ** 2))
@@ -185,7 +185,7 @@ def test_a_narrow_reflectance_keeps_its_colour_under_any_lamp(light: str) -> Non
 @pytest.mark.parametrize("name", ["studio", "line", "sun", "sky", "directional"])
 def test_lights_are_scaled_to_white_paper_of_luminance_0_6(name: str) -> None:
     """Comparable exposures: within half a stop of the promise, whatever the light."""
-    from nacre.picture.lights.emitter_plugins import make_light
+    from nacre.picture.emitters import make_light
 
     xyz = _floor_xyz(dict(make_light(name).emitters), 1.0, spp=256)
     assert abs(np.log2(xyz[1] / 0.6)) < 0.5
@@ -196,7 +196,7 @@ def test_lights_are_scaled_to_white_paper_of_luminance_0_6(name: str) -> None:
 def test_no_light_is_drawn_from_beyond_what_stands_in_its_way(light: str) -> None:
     """A floor within a black ball gets none, however far away the ball is; without the ball it is lit."""
     from nacre.device.variant import use_variant
-    from nacre.picture.lights.emitter_plugins import make_lights, read_lamps
+    from nacre.picture.emitters import make_lights, read_lamps
 
     mi = use_variant()
     surroundings = [each for each in make_lights(read_lamps(light)).emitters.values() if not _is_lamp(each)]

@@ -15,8 +15,8 @@ from nacre.device.bsdf import make_bsdf
 from nacre.device.variant import use_variant
 from nacre.material.examples import examples_folder
 from nacre.picture import passes
-from nacre.picture.lights.emitter_plugins import SUN_DEG, make_light, make_lights, read_lamps, spectrum_texture
-from nacre.picture.lights.environments import BEAM_DEG, beam, street, unit_spectrum
+from nacre.picture.emitters import SUN_DEG, make_light, make_lights, read_lamps, spectrum_texture
+from nacre.picture.environments import BEAM_DEG, beam, street, unit_spectrum
 from nacre.picture.paths import SOFT_LAMP_DEG, WITHIN_LAMP_DEG, can_split, make_paths
 from nacre.picture.picture import scene_dict
 

@@ -24,7 +24,7 @@ from nacre.picture.images import (
     show,
     spectral_channel,
 )
-from nacre.picture.scenes.catalogue import SCENES
+from nacre.picture.scenes import SCENES
 
 SMALL = {"size": (24, 20), "spp": 2}
 

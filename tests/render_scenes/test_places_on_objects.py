@@ -12,8 +12,8 @@ import nacre
 from nacre.bsdf import Bsdf
 from nacre.bsdf.texture import TextureSpec
 from nacre.core.errors import NacreError
-from nacre.picture.scenes.catalogue import Part
-from nacre.picture.shapes.mesh import bounding_ball, rotation
+from nacre.picture.mesh import bounding_ball, rotation
+from nacre.picture.scenes import Part
 from nacre.recipe.model import RecipeContext
 
 pytestmark = pytest.mark.render

@@ -11,7 +11,7 @@ from scipy.stats import kstest
 import nacre
 from nacre.device.variant import use_variant
 from nacre.picture import passes
-from nacre.picture.samples import TILE, begin, continued_sampler
+from nacre.picture.plugins import TILE, begin, continued_sampler
 
 PIXELS = 512
 GREY: dict[str, Any] = {"type": "diffuse", "reflectance": 0.5}

@@ -11,8 +11,8 @@ import pytest
 import nacre
 from nacre.core.errors import NacreError
 from nacre.picture.camera import View, read_framing
+from nacre.picture.emitters import Lamp, read_lamps
 from nacre.picture.images import LEFT_OUT, RenderResult, read_provenance, toned, write_picture
-from nacre.picture.lights.emitter_plugins import Lamp, read_lamps
 from nacre.picture.passes import TURN
 
 GREY = {"type": "diffuse", "reflectance": 0.5}

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from nacre.picture.shapes import insects, mesh, objects, printed
-from nacre.picture.shapes.mesh import (
+from nacre.picture import insects, mesh, objects, printed
+from nacre.picture.mesh import (
     Mesh,
     bspline,
     curve,
@@ -23,7 +23,7 @@ from nacre.picture.shapes.mesh import (
     split,
     surface_net,
 )
-from nacre.picture.shapes.objects import car, speedshape
+from nacre.picture.objects import car, speedshape
 
 # a coarser car, to keep the test short; the closedness does not depend on the spacing
 CAR_SPACING = 0.03

@@ -14,11 +14,11 @@ import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.picture.images import read_provenance
+from nacre.picture.mesh import Mesh, merge, revolve
 from nacre.picture.picture import BEAM_DEG, screen_directions
-from nacre.picture.scenes.catalogue import SCENES, SHAPES
-from nacre.picture.scenes.subjects import read_mesh, stand_on_floor, subject_parts
-from nacre.picture.shapes.mesh import Mesh, merge, revolve
-from nacre.render import animation
+from nacre.picture.scenes import SCENES, SHAPES
+from nacre.picture.subjects import read_mesh, stand_on_floor, subject_parts
+from nacre.render import pictures
 
 SMALL: dict[str, Any] = {"size": (16, 14), "spp": 1}
 
@@ -145,7 +145,7 @@ def test_every_shape_stands_whole_in_the_frame_of_every_scene(
 def test_what_belongs_to_a_subject_is_not_left_with_another() -> None:
     """The pin and the label of the beetle stand neither by another shape nor in a street."""
     from nacre.picture.built_scene import BuiltScene, with_subject
-    from nacre.picture.lights.emitter_plugins import make_light
+    from nacre.picture.emitters import make_light
 
     scene = SCENES["beetle"]
     other = with_subject(scene, SCENES["cuff"].parts)
@@ -159,7 +159,7 @@ def test_what_belongs_to_a_subject_is_not_left_with_another() -> None:
 def test_an_open_lens_blurs_what_is_not_in_focus() -> None:
     """A view keeps its lens however it is moved, and the camera that is built has it."""
     from nacre.picture.built_scene import BuiltScene
-    from nacre.picture.lights.emitter_plugins import make_light
+    from nacre.picture.emitters import make_light
 
     view = SCENES["cuff"].view
     assert view.placed(30.0, 40.0).lens == view.turned(10.0).lens == view.zoomed(2.0).lens == view.lens > 0
@@ -304,7 +304,7 @@ def test_an_interrupt_in_a_frames_last_pass_ends_the_animation(
 ) -> None:
     """The frame is whole, so nothing of it is ended; the animation went on as if nobody had asked it to stop."""
     made: list[int] = []
-    real = animation.render
+    real = pictures.render
 
     def stop(done: int, total: int, seconds_left: float) -> None:
         if len(made) == 2 and done == total:
@@ -314,7 +314,7 @@ def test_an_interrupt_in_a_frames_last_pass_ends_the_animation(
         made.append(1)
         return real(*arguments, **{**settings, "progress": stop})
 
-    monkeypatch.setattr(animation, "render", counting)
+    monkeypatch.setattr(pictures, "render", counting)
     first = nacre.render.animate(grey, "light", tmp_path / "turn.gif", frames=4, **SMALL)
     assert first.interrupted and first.path is None and len(made) == len(first.frames) == 2
     assert all(read_provenance(name)["frame"] == index for index, name in enumerate(first.frames))
@@ -329,7 +329,7 @@ def test_the_command_reports_that_an_animation_was_stopped(
     def stopped(*arguments: Any, **settings: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(animation, "render", stopped)
+    monkeypatch.setattr(pictures, "render", stopped)
     status = run(["render", "gold", "--animate", "light", "--frames", "2", "-o", str(tmp_path / "turn.gif")])
     assert status == 130 and "turn.gif" not in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
@@ -337,7 +337,7 @@ def test_the_command_reports_that_an_animation_was_stopped(
 
 def test_an_animation_resumes_where_it_was_stopped(tmp_path: Path, grey: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[int] = []
-    real = animation.render
+    real = pictures.render
 
     def counting(*arguments: Any, **settings: Any) -> Any:
         if len(made) == 2:
@@ -345,11 +345,11 @@ def test_an_animation_resumes_where_it_was_stopped(tmp_path: Path, grey: Any, mo
         made.append(1)
         return real(*arguments, **settings)
 
-    monkeypatch.setattr(animation, "render", counting)
+    monkeypatch.setattr(pictures, "render", counting)
     first = nacre.render.animate(grey, "light", tmp_path / "turn.gif", frames=4, **SMALL)
     assert first.interrupted and first.path is None and len(first.frames) == 2
     assert not (tmp_path / "turn.gif").exists()
-    monkeypatch.setattr(animation, "render", real)
+    monkeypatch.setattr(pictures, "render", real)
     done = nacre.render.animate(grey, "light", tmp_path / "turn.gif", frames=4, **SMALL)
     assert done.kept == 2 and not done.interrupted
     exposures = {read_provenance(name)["exposure_stops"] for name in done.frames}

@@ -15,8 +15,8 @@ from PIL import Image, ImageDraw
 
 import nacre
 from nacre.core.errors import NacreError
-from nacre.picture.scenes.catalogue import SCENES, Scene
-from nacre.picture.scenes.subjects import read_mesh, stand_on_floor, subject_parts
+from nacre.picture.scenes import SCENES, Scene
+from nacre.picture.subjects import read_mesh, stand_on_floor, subject_parts
 
 pytestmark = pytest.mark.render
 
@@ -30,7 +30,7 @@ MIRROR = {"family": "film", "substrate": "Al"}
 def seen(scene: Scene, count: int = 96) -> tuple[np.ndarray, np.ndarray]:
     """uv `[row, column, 2]` of the subject before its own camera, NaN elsewhere, and the points hit."""
     from nacre.picture.built_scene import BuiltScene
-    from nacre.picture.lights.emitter_plugins import make_light
+    from nacre.picture.emitters import make_light
 
     built = BuiltScene(scene, make_light("directional", "D65", 0.0), see_through=False)
     from nacre.device.variant import use_variant

@@ -19,9 +19,9 @@ from starlette.testclient import TestClient
 
 import nacre
 from nacre.core.errors import NacreError
-from nacre.picture.lights.environments import directions
-from nacre.picture.scenes.subjects import read_mesh
-from nacre.picture.shapes.mesh import Mesh, parametric
+from nacre.picture.environments import directions
+from nacre.picture.mesh import Mesh, parametric
+from nacre.picture.subjects import read_mesh
 from nacre.recipe.toml import parse_toml
 from nacre.studio import objects, server
 from nacre.studio.folder import OpenedFolder
@@ -206,7 +206,7 @@ def test_a_sky_lights_the_floor_as_mitsuba_says(name: str) -> None:
     """A matt white sheet under the picture's own light, rendered, beside the table that the page draws with."""
     from nacre.device.variant import use_variant
     from nacre.light import xyz_to_srgb_linear
-    from nacre.picture.lights.emitter_plugins import make_light
+    from nacre.picture.emitters import make_light
     from nacre.studio.surroundings import sky_job
 
     mi = use_variant()

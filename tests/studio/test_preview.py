@@ -9,7 +9,7 @@ import nacre
 from nacre.core.arrays import direction
 from nacre.formats.lut import lobe_directions, lobe_weight
 from nacre.light import spectrum_to_rgb_linear, spectrum_to_xyz
-from nacre.picture.lights.environments import studio
+from nacre.picture.environments import studio
 from nacre.recipe.toml import parse_toml
 from nacre.studio import appearance, surroundings
 from nacre.studio.appearance import (

@@ -388,7 +388,7 @@ def test_the_blurred_surround_keeps_a_uniform_room_and_the_key_light() -> None:
     peaks = [float(layer.max()) for layer in layers]
     assert peaks == sorted(peaks, reverse=True)  # the rougher, the dimmer the brightest spot
     # a matt surface facing up: irradiance over pi, by the environment's own sum
-    from nacre.picture.lights.environments import studio
+    from nacre.picture.environments import studio
 
     assert float(layers[-1][0].mean()) == pytest.approx(studio().irradiance / np.pi, rel=0.01)
 

@@ -141,7 +141,7 @@ def test_a_picture_comes_at_its_size(client: TestClient) -> None:
 def test_the_page_offers_every_scene_for_its_pictures() -> None:
     from importlib.resources import files
 
-    from nacre.picture.scenes.catalogue import SCENE_NAMES
+    from nacre.picture.scenes import SCENE_NAMES
 
     page = files("nacre.studio").joinpath("page/index.html").read_text(encoding="utf-8")
     choice = page.partition('<select id="file-scene">')[2].partition("</select>")[0]

@@ -270,7 +270,7 @@ def _calibration(path: Path, folder: Path) -> None:
 
 
 def _mesh(path: Path, folder: Path) -> None:
-    from nacre.picture.scenes.subjects import read_mesh
+    from nacre.picture.subjects import read_mesh
 
     mesh = read_mesh(path)
     assert np.isfinite(mesh.vertices).all() and np.isfinite(mesh.normals).all(), "mesh is not finite"

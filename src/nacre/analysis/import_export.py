@@ -281,7 +281,7 @@ def _mesh_parts(mesh: Path) -> list[Any]:
         NacreError: the file is missing, damaged, empty or too large.
     """
     from nacre.formats.scene_files import Part
-    from nacre.picture.scenes.subjects import TO_Z_UP, read_mesh
+    from nacre.picture.subjects import TO_Z_UP, read_mesh
 
     read = read_mesh(mesh)
     turn = TO_Z_UP["y"]

@@ -203,7 +203,7 @@ def _animation(folder: Path, out: Path, spec: AnimationSpec, is_quick: bool) -> 
     path = out / f"{spec.name or Path(spec.recipe).stem}-moving.mp4"
 
     def make() -> None:
-        from nacre.render.animation import animate
+        from nacre.render.pictures import animate
 
         moving = spec.animate in ("light", "view")
         material = _solved(folder, out, spec.recipe, spec.quality) if moving else _find(folder, out, spec.recipe)
@@ -222,7 +222,7 @@ def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
 
     def make() -> None:
         from nacre.picture.images import read_provenance
-        from nacre.render.animation import animate, join
+        from nacre.render.pictures import animate, join
 
         exposure: Any = "auto"
         parts = []

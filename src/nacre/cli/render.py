@@ -138,7 +138,7 @@ def render(
 
 def _render(material: Any, path: Path, animate: str | None, frames: int, options: dict[str, Any]) -> None:
     if animate:
-        from nacre.render.animation import animate as render_animation
+        from nacre.render.pictures import animate as render_animation
 
         if render_animation(material, animate, path, frames=frames, **options).interrupted:
             raise KeyboardInterrupt

@@ -16,9 +16,10 @@ from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import plain, why_unreadable
 from nacre.device.tables import ObjectFrame
 from nacre.picture.camera import Framing, View
-from nacre.picture.lights.emitter_plugins import Light
-from nacre.picture.plugin import mi
-from nacre.picture.scenes.catalogue import (
+from nacre.picture.emitters import Light
+from nacre.picture.mesh import Mesh, bounding_ball, rotation
+from nacre.picture.plugins import mi
+from nacre.picture.scenes import (
     SUBJECT,
     Part,
     Parts,
@@ -27,7 +28,6 @@ from nacre.picture.scenes.catalogue import (
     infinite_backdrop,
     plain_material,
 )
-from nacre.picture.shapes.mesh import Mesh, bounding_ball, rotation
 
 SEE_THROUGH_DEPTH = 16
 DEFAULT_DEPTH = 16

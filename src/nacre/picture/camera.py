@@ -12,7 +12,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.picture.shapes.mesh import rotation
+from nacre.picture.mesh import rotation
 
 FOV_DEG = (1.0, 120.0)
 ZOOM = (0.05, 50.0)

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from nacre.core.machine import available_jobs, single_threaded_blas
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, white_xyz, xyz_to_srgb_linear
-from nacre.picture.plugin import Plugin, dr, make_plugin, mi
-from nacre.picture.samples import Real, smooth
+from nacre.picture.plugins import Plugin, Real, dr, make_plugin, mi, smooth
 
 # samples per pixel for AOVs with grain and AOV layers, and for AOVs without grain (8, not 4, lower a bubble's FLIP
 # from 0.0279 to 0.0277 and cost one and a half picture samples)

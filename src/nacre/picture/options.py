@@ -12,8 +12,8 @@ import numpy as np
 from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.progress import ProgressCallback
 from nacre.picture.camera import Framing, is_number, read_framing
+from nacre.picture.emitters import Lamp, read_lamps, read_polariser
 from nacre.picture.images import OPAQUE_SUFFIXES, STILL_SUFFIXES, Exposure, RenderResult, spoken_suffixes, toned
-from nacre.picture.lights.emitter_plugins import Lamp, read_lamps, read_polariser
 from nacre.picture.passes import Until
 
 COMPONENTS = ("sum", "specular", "diffuse")

@@ -34,11 +34,10 @@ from nacre.picture.denoise import (
     first_hits,
     has_random_walks,
 )
-from nacre.picture.lights.emitter_plugins import analysed
+from nacre.picture.emitters import analysed
 from nacre.picture.paths import DRAWS, can_split, cut_out, make_paths, sees_objects
-from nacre.picture.plugin import WrappedIntegrator, dr, make_plugin, mi
-from nacre.picture.samples import begin, continued_sampler
-from nacre.picture.scenes.catalogue import with_infinite_backdrop
+from nacre.picture.plugins import WrappedIntegrator, begin, continued_sampler, dr, make_plugin, mi
+from nacre.picture.scenes import with_infinite_backdrop
 
 logger = logging.getLogger("nacre")
 
@@ -609,7 +608,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class Pass:
-    """Samples of one pass; arguments of `nacre.picture.samples.begin`."""
+    """Samples of one pass; arguments of `nacre.picture.plugins.begin`."""
 
     seed: int
     first: int
@@ -624,7 +623,7 @@ class TiledCamera:
     Args:
         make_sensor: gives the camera with a film size (width, height), for the width of the whole picture.
         size: width and height of the picture.
-        sampler: sampler of the sensor, from `nacre.picture.samples.continued_sampler`.
+        sampler: sampler of the sensor, from `nacre.picture.plugins.continued_sampler`.
         is_boxed: whether each sample counts for one pixel.
         pixels: pixels per tile.
     """

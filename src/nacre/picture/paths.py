@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.picture.plugin import Plugin, WrappedIntegrator, dr, make_plugin, mi
+from nacre.picture.plugins import Plugin, WrappedIntegrator, dr, make_plugin, mi
 
 SOFT_LAMP_DEG = 10.0
 WITHIN_LAMP_DEG = 40.0

@@ -28,8 +28,8 @@ from nacre.light import illuminant as find_illuminant
 from nacre.light import xyz_weights
 from nacre.picture import interrupt
 from nacre.picture.denoise import clean_albedo, denoised, inapplicable_reason
+from nacre.picture.emitters import STOKES, TURNING_LIGHTS, Lamp, check_light, make_lights, read_lamps
 from nacre.picture.images import AUTO_LEVEL, Exposure, RenderResult, count_clipped, develop, encode
-from nacre.picture.lights.emitter_plugins import STOKES, TURNING_LIGHTS, Lamp, check_light, make_lights, read_lamps
 from nacre.picture.options import (
     COMPONENTS,
     QUALITIES,
@@ -42,8 +42,8 @@ from nacre.picture.options import (
     signature,
 )
 from nacre.picture.passes import FIRST_HIT, Frame, RenderSettings, Until, pass_seed, path_tracer, render_passes
-from nacre.picture.plugin import dr, mi
-from nacre.picture.scenes.catalogue import scene as find_scene
+from nacre.picture.plugins import dr, mi
+from nacre.picture.scenes import scene as find_scene
 from nacre.recipe.fingerprint import file_stamp
 
 MIRROR_KINDS = ("specular", "microfacet", "aligned-specular", "aligned-microfacet")
@@ -415,7 +415,7 @@ class _SetUp:
 
         chosen = find_scene(self.scene)
         if self.subject.shape is not None:
-            from nacre.picture.scenes.subjects import subject_parts
+            from nacre.picture.subjects import subject_parts
 
             parts = subject_parts(self.subject.shape, chosen, self.subject.up)
             chosen = with_subject(chosen, lambda: parts)

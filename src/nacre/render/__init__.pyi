@@ -1,5 +1,5 @@
-from .animation import animate as animate
 from .pictures import RenderResult as RenderResult
+from .pictures import animate as animate
 from .pictures import forget_scenes as forget_scenes
 from .pictures import make_bsdf as make_bsdf
 from .pictures import render as render

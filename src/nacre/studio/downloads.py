@@ -20,8 +20,8 @@ from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
 from nacre.material.material import Material
 from nacre.material.spatial_variation import number_maps
-from nacre.picture.lights.emitter_plugins import read_polariser
-from nacre.picture.scenes.catalogue import SCENE_NAMES
+from nacre.picture.emitters import read_polariser
+from nacre.picture.scenes import SCENE_NAMES
 from nacre.studio.folder import OpenedFolder, built, read_choice, read_lamp, read_number, read_recipe, shown
 from nacre.studio.objects import OBJECTS
 from nacre.studio.subprocess_jobs import Emit

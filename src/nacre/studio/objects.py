@@ -22,10 +22,10 @@ from nacre.core.errors import NacreError
 from nacre.light import lab_to_xyz, srgb_encode, srgb_to_hex, xyz_to_srgb_linear
 from nacre.material.material import Material
 from nacre.picture.camera import View
-from nacre.picture.scenes.catalogue import MATERIALS, SCENES, SUBJECT, Part
-from nacre.picture.scenes.subjects import MESH_SUFFIXES, TO_Z_UP, read_mesh, stand_on_floor
-from nacre.picture.shapes.mesh import Mesh
-from nacre.picture.shapes.printed import banknote_print
+from nacre.picture.mesh import Mesh
+from nacre.picture.printed import banknote_print
+from nacre.picture.scenes import MATERIALS, SCENES, SUBJECT, Part
+from nacre.picture.subjects import MESH_SUFFIXES, TO_Z_UP, read_mesh, stand_on_floor
 from nacre.readers.colour_tables import named_lab
 from nacre.readers.measurement import AmbiguousFileError, Measurement, points
 from nacre.readers.registry import open_file

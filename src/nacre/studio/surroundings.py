@@ -1,10 +1,10 @@
 """Surroundings on the page: prefiltered light, light on the stage, a ball's shade, skies.
 
-Preview and rendered picture use the same lights (`nacre.picture.lights`). Each layer is the
+Preview and rendered picture use the same lights (`nacre.picture.emitters`). Each layer is the
 radiance reflected by a rough mirror, averaged over the facet distribution with viewer, normal and reflection in one
 direction (B. Karis, "Real shading in Unreal Engine 4", SIGGRAPH course 2013): exact for a smooth surface, approximate
 for a rough one. A small bright lamp such as the sun is removed from the layers and drawn analytically. The stage is a
-floor that rises behind the object into a wall (`nacre.picture.scenes.catalogue`); its light is the direct light past
+floor that rises behind the object into a wall (`nacre.picture.scenes`); its light is the direct light past
 the wall and two bounces between its parts.
 """
 
@@ -20,10 +20,10 @@ from nacre.core.arrays import Array
 from nacre.core.disk_cache import cache_arrays, cached_arrays
 from nacre.core.errors import NacreError
 from nacre.light import observer, table_wavelengths_nm, xyz_to_srgb_linear
-from nacre.picture.lights import environments
-from nacre.picture.lights.environments import WOOD, Environment, directions, studio, unit_spectrum
-from nacre.picture.scenes.catalogue import SWEEP
-from nacre.picture.shapes.mesh import sweep_length
+from nacre.picture import environments
+from nacre.picture.environments import WOOD, Environment, directions, studio, unit_spectrum
+from nacre.picture.mesh import sweep_length
+from nacre.picture.scenes import SWEEP
 from nacre.recipe.fingerprint import fingerprint
 from nacre.studio.appearance import pack
 
@@ -355,7 +355,7 @@ def sky_radiance(name: str) -> Array:
     """
     if name not in SKIES:
         raise NacreError(f'"{name[:40]}" is not a sky; choose from {", ".join(SKIES)}')
-    from nacre.picture.lights.emitter_plugins import make_light
+    from nacre.picture.emitters import make_light
 
     emitter = make_light(name).emitters["sky"]
     rows, columns = np.indices((ROWS, 2 * ROWS)).reshape(2, -1)

@@ -22,8 +22,8 @@ from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.core.machine import check_memory
 from nacre.picture.camera import View
-from nacre.picture.scenes.catalogue import MESH_SUFFIXES, SHAPES, Part, Scene
-from nacre.picture.shapes.mesh import Mesh, face_normals, merge, open_seam, outward
+from nacre.picture.mesh import Mesh, face_normals, merge, open_seam, outward
+from nacre.picture.scenes import MESH_SUFFIXES, SHAPES, Part, Scene
 
 logger = logging.getLogger("nacre")
 

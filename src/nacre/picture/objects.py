@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from nacre.core.arrays import Array
-from nacre.picture.shapes import mesh
-from nacre.picture.shapes.printed import text_mask
+from nacre.picture import mesh
+from nacre.picture.printed import text_mask
 
 # speedshape, tail to nose: half width, half height, height of the spine
 _SECTIONS = [

@@ -24,12 +24,12 @@ from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.device.variant import depolarised
 from nacre.light import illuminant as light_illuminant
-from nacre.picture.lights import environments
+from nacre.picture import environments
 from nacre.picture.paths import SOFT_LAMP_DEG, WITHIN_LAMP_DEG
-from nacre.picture.plugin import Plugin, WrappedIntegrator, dr, make_plugin, mi
+from nacre.picture.plugins import Plugin, WrappedIntegrator, dr, make_plugin, mi
 
 if TYPE_CHECKING:
-    from nacre.picture.lights.environments import Environment
+    from nacre.picture.environments import Environment
 
 
 # minimum density relative to its mean, because the density grid may round small values to zero
@@ -445,7 +445,7 @@ class Light:
         illuminant: white point.
         is_surrounding: whether the light is a visible place behind the subject.
         note: description for outputs.
-        floor: floor material in a place (`nacre.picture.scenes.catalogue.MATERIALS`).
+        floor: floor material in a place (`nacre.picture.scenes.MATERIALS`).
         turning: emitters that turn in place (`turn`), each with its own turn in degrees.
         soft: the environment with its small lamps widened to `SOFT_LAMP_DEG`, see `nacre.picture.paths`.
         soft_within: the environment widened to `WITHIN_LAMP_DEG`, for light that the object has scattered.
@@ -523,7 +523,7 @@ def make_lights(lamps: Sequence[Lamp], illuminant: str = "D65", turn_deg: float 
     """Build lights in the current variant; the first one sets the white point.
 
     Args:
-        lamps: see `nacre.picture.lights.emitter_plugins.read_lamps`.
+        lamps: see `nacre.picture.emitters.read_lamps`.
         illuminant: lamp spectrum. `sun`, `sky`, places and maps have their own spectra and the white
             point D65.
         turn_deg: common turn about the object.

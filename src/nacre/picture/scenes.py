@@ -19,13 +19,12 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.light import table_wavelengths_nm
+from nacre.picture import mesh
 from nacre.picture.camera import View
-from nacre.picture.lights.emitter_plugins import spectrum_texture
-from nacre.picture.lights.environments import WOOD, edge, peak
-from nacre.picture.plugin import WrappedIntegrator, dr, make_plugin, mi
-from nacre.picture.samples import noise
-from nacre.picture.shapes import mesh
-from nacre.picture.shapes.mesh import Mesh, rotation, sweep_length
+from nacre.picture.emitters import spectrum_texture
+from nacre.picture.environments import WOOD, edge, peak
+from nacre.picture.mesh import Mesh, rotation, sweep_length
+from nacre.picture.plugins import WrappedIntegrator, dr, make_plugin, mi, noise
 
 PLANK = 1.5  # plank width on the desk
 _TILE = (12.0, 6.0)  # desk period along and across the grain, in scene units
@@ -141,7 +140,7 @@ def museum_board() -> dict[str, Any]:
 
 def printed_note(rows: int = 1024) -> dict[str, Any]:
     """The paper of the banknote with its inks, one over the other."""
-    from nacre.picture.shapes.printed import NOTE_HEIGHT, NOTE_WIDTH, note_drawing
+    from nacre.picture.printed import NOTE_HEIGHT, NOTE_WIDTH, note_drawing
 
     light, inks = note_drawing(rows, NOTE_WIDTH / NOTE_HEIGHT)
     spectra = {
@@ -160,7 +159,7 @@ def printed_note(rows: int = 1024) -> dict[str, Any]:
 
 def printed_pass() -> dict[str, Any]:
     """The laminated face of the plastic card: blue that changes to teal, with white ink."""
-    from nacre.picture.shapes.printed import pass_print
+    from nacre.picture.printed import pass_print
 
     light, ink = pass_print()
     ground = mixed(_glossy(peak(0.01, 0.10, 455.0, 42.0)), _glossy(peak(0.02, 0.3, 495.0, 50.0)), light[::-1])
@@ -273,16 +272,16 @@ def plain_material(name: str) -> dict[str, Any]:
 
 
 def _shape(module: str, function: str, *arguments: Any) -> Any:
-    """Call a function in `nacre.picture.shapes.MODULE`, imported on first use."""
+    """Call a function in `nacre.picture.MODULE`, imported on first use."""
     fixed = (tuple(each) if isinstance(each, list) else each for each in arguments)
-    return getattr(importlib.import_module(f"nacre.picture.shapes.{module}"), function)(*fixed)
+    return getattr(importlib.import_module(f"nacre.picture.{module}"), function)(*fixed)
 
 
 def _parts(module: str, *rows: str | list[Any]) -> Parts:
     """Return a cached builder of parts.
 
     Args:
-        module: module in `nacre.picture.shapes`.
+        module: module in `nacre.picture`.
         rows: "function" for the subject, "function:material", or [function, material, arguments].
     """
     full = [row if isinstance(row, list) else row.split(":") for row in rows]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
-from nacre.picture.shapes import mesh
-from nacre.picture.shapes.mesh import tile
-from nacre.picture.shapes.printed import text_mask
+from nacre.picture import mesh
+from nacre.picture.mesh import tile
+from nacre.picture.printed import text_mask
 
 
 def _unit(vectors: Array) -> Array:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array
 from nacre.light import Illuminant, illuminant, observer, table_wavelengths_nm
-from nacre.picture.samples import noise
+from nacre.picture.plugins import noise
 
 BEAM_DEG, BEAM_EDGE_DEG = 10.0, 0.7  # width of the lamp of `beam`, and of its soft edge
 ROWS = 512

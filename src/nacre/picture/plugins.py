@@ -1,21 +1,81 @@
-"""Sampler for pictures: a low-discrepancy sequence per pixel that continues from pass to pass.
+"""Mitsuba and Dr.Jit, imported on first use; Mitsuba plugins in Python; the sampler for pictures.
 
-Mitsuba's samplers are stratified only within one `mi.render` call, and for a large picture a call takes one to four
-samples per pixel. Here each pixel and dimension has Sobol's first two dimensions, shuffled and Owen-scrambled by
+The sampler has a low-discrepancy sequence per pixel that continues from pass to pass. Mitsuba's samplers are stratified
+only within one `mi.render` call, and for a large picture a call takes one to four samples per pixel. Here each pixel
+and dimension has Sobol's first two dimensions, shuffled and Owen-scrambled by
 hashing (B. Burley, "Practical hash-based Owen scrambling", JCGT 9(4), 2020, and the permutation by S. Laine and T.
 Karras, "Stratified sampling for stochastic transparency", 2011). The index counts on, therefore the picture does not
 depend on the division into passes.
 """
 
 import functools
+import importlib
+import types
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
-from nacre.picture.plugin import Plugin, dr, make_plugin, mi
+from nacre.device.variant import use_variant
+
+
+class _LazyModule:
+    def __init__(self, load: Callable[[], Any]) -> None:
+        self._load = load
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._load(), name)
+
+
+mi: Any = _LazyModule(use_variant)  # Mitsuba in the current variant
+dr: Any = _LazyModule(lambda: importlib.import_module("drjit"))
+
+
+class Plugin:
+    """Methods for a Mitsuba plugin; `set_up` takes its arguments.
+
+    Base classes differ between variants and accept no second base, therefore `make_plugin` copies the methods into a
+    class for the variant.
+    """
+
+    BASE: ClassVar[str] = "SamplingIntegrator"
+    is_scalar: bool
+
+    def set_up(self, *arguments: Any, **options: Any) -> None:
+        """Initialise the plugin."""
+
+
+class WrappedIntegrator(Plugin):
+    """An integrator that modifies an inner integrator's rays or result."""
+
+    inner: Any
+
+    def aov_names(self) -> list[str]:
+        return list(self.inner.aov_names())
+
+
+def make_plugin(methods: type[Plugin], *arguments: Any) -> Any:
+    """Return an instance in the current variant."""
+    made = _plugin_class(methods, mi.variant())  # type: ignore[arg-type]  # mypy takes classes for unhashable
+    return made(mi.Properties(), *arguments)
+
+
+@functools.cache
+def _plugin_class(methods: type[Plugin], variant: str) -> type:
+    base = getattr(mi, methods.BASE)
+
+    def initialise(self: Any, properties: Any, *arguments: Any) -> None:
+        base.__init__(self, properties)
+        self.set_up(*arguments)
+
+    names: dict[str, Any] = {}
+    for each in reversed(methods.__mro__[:-1]):
+        names |= {name: value for name, value in vars(each).items() if name not in ("__dict__", "__weakref__")}
+    names |= {"is_scalar": variant.startswith("scalar"), "__init__": initialise}
+    return types.new_class(methods.__name__, (base,), exec_body=lambda body: body.update(names))
+
 
 LAINE_KARRAS = (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6)
 GOLDEN, OFFSET = 0x9E3779B1, 0x7F4A7C15

@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.picture.samples import noise
-from nacre.picture.shapes.mesh import Mesh, merge, on_circle, parametric, quad, rotation
+from nacre.picture.mesh import Mesh, merge, on_circle, parametric, quad, rotation
+from nacre.picture.plugins import noise
 
 # banknote: drawing (in heights of the note), then geometry
 _SHELL, _SHELL_SIZE = (0.42, 0.47), 0.35  # centre and radius of the nautilus

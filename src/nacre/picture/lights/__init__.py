@@ -1,1 +1,0 @@
-"""Picture lights: studio lights, skies, rooms and streets, all with spectra."""

@@ -1,1 +1,0 @@
-"""Picture scenes and mesh files."""
