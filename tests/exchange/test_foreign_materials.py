@@ -138,6 +138,7 @@ def test_greys_of_each_colour_space_are_grey(tmp_path: Path, space: str, expecte
     inputs = {"thin_film_thickness": 'value="300"', "metalness": 'value="1"', "base_color": 'value="0.5, 0.5, 0.5"'}
     found = read_materialx(shader(tmp_path / "x.mtlx", "standard_surface", space, **inputs))
     np.testing.assert_allclose(found.base_rgb, expected, atol=2e-4)
+    assert bool(found.remarks) == (space != "lin_rec709")  # a converted colour is reported
 
 
 def test_a_share_of_film_becomes_a_blend_of_its_reflectance(tmp_path: Path) -> None:

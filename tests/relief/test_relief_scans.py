@@ -94,6 +94,13 @@ def test_orders_of_a_grating_in_a_scan_carry_the_power_of_the_periodic_one() -> 
         assert mine == pytest.approx(theirs, rel=0.03), order
 
 
+def test_a_scan_of_a_sinusoid_is_as_steep_and_as_smooth_as_one() -> None:
+    """Its middle height is crossed twice in a period."""
+    heights = 1e3 * sinusoid(4.0, 0.2, (400, 400), 0.1)
+    found = Scan(heights - heights.mean(), 100.0).validity()
+    assert [found.slope, found.feature, found.smoothness] == pytest.approx([0.2 / 2.0, 2.0 / 0.55, 1.0], rel=0.03)
+
+
 def rough(count: int, pitch_um: float, sq_um: float, length_um: float, seed: int = 1) -> np.ndarray:
     """Return normal heights with the autocorrelation exp(-(r / length)^2), periodic beyond the scan."""
     f = np.fft.fftfreq(count, pitch_um)

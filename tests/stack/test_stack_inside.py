@@ -37,6 +37,14 @@ def test_layers_absorb_what_is_neither_reflected_nor_transmitted() -> None:
             assert A.min() >= -ENERGY
 
 
+def test_unpolarised_light_that_is_lost_is_absorbed() -> None:
+    case = ([[1.0], [1.5 + 0.2j], [2.0 + 1j], [1.5]], [50.0, 80.0], [LAM], [0.0, 0.5])
+    r = solve(*case, absorption=True)
+    np.testing.assert_allclose(r.absorptance, 1.0 - 0.5 * (r.R_s + r.R_p + r.T_s + r.T_p), atol=ENERGY)
+    with pytest.raises(NacreError):
+        _ = solve(*case).absorptance
+
+
 def test_layers_absorb_nothing_of_light_that_runs_along_them() -> None:
     r = solve([[1.0], [1.5 + 0.2j], [2.0 + 1j], [1.5]], [50.0, 80.0], [LAM], [0.5, np.pi / 2], absorption=True)
     for A in (r.A_s, r.A_p):
