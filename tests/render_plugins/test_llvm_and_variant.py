@@ -9,6 +9,7 @@ import sys
 import tomllib
 import warnings
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -451,6 +452,26 @@ def test_a_variant_that_was_set_on_a_broken_llvm_is_refused(monkeypatch: pytest.
             mi.load_dict({"type": "nacre", "recipe": "not asked for.toml"})
     finally:
         variant._set_variant_failure.cache_clear()
+
+
+@pytest.mark.render
+@pytest.mark.skipif(
+    not (Path("/proc/cpuinfo").exists() and "avx2" in Path("/proc/cpuinfo").read_text()), reason="needs AVX2 and Linux"
+)
+def test_kernels_gather_by_instructions_of_the_processor(mi: ModuleType) -> None:
+    import drjit as dr
+    from drjit.llvm import Float, UInt32
+
+    rng = np.random.default_rng(5)
+    values, places = rng.random(1000, dtype=np.float32), rng.integers(0, 1000, 333)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        index = UInt32(places.astype(np.uint32))
+        found = np.array(dr.gather(Float, Float(values), index, index < 500))
+        sources = [entry["ir"].getvalue() for entry in dr.kernel_history() if "ir" in entry]
+    assert np.array_equal(found, np.where(places < 500, values[places], 0.0))
+    gathers = [source for source in sources if "masked.gather" in source]
+    assert gathers and all("+fast-gather" in source for source in gathers)
 
 
 @pytest.mark.render

@@ -92,6 +92,7 @@ def import_mitsuba() -> ModuleType:
     llvm.use_llvm()
     import mitsuba
 
+    llvm.use_gather_instructions()
     return mitsuba
 
 

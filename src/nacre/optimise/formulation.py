@@ -411,7 +411,12 @@ class _Paint:
         steps = centre * (1.0 + TEXTURE_STEP * np.vstack([np.zeros(len(centre)), np.eye(len(centre))]))
         logs = np.log(np.maximum([self.texture(self.made(each), "scout") for each in steps], LEAST_TEXTURE))
         powers = (logs[1:] - logs[0]) / np.log1p(TEXTURE_STEP)
-        return lambda fractions: np.asarray(value * np.exp(np.clip(np.log(fractions / centre) @ powers, -3.0, 3.0)))
+
+        def by_powers(fractions: Sequence[float] | Array) -> Array:
+            change: Array = np.log(np.asarray(fractions) / centre) @ powers
+            return np.asarray(value * np.exp(np.clip(change, -3.0, 3.0)))
+
+        return by_powers
 
     def fit(self, start: Array, correction: Correction | None, steps: int) -> tuple[float, Array]:
         """Return the rms distance in tolerances and the point of the nearest match of the two-stream model."""
