@@ -77,6 +77,12 @@ def test_reliefs_are_designed_for_each_colour_of_a_list(tmp_path: Path) -> None:
     again = nacre.design.many(RELIEF, [labs[0], (30.0, 0.0, 0.0)], tmp_path / "o", resume=True, workers=Workers(1))
     assert (tmp_path / "o" / "1" / "height.npy").stat().st_mtime_ns == kept
     assert again[0].worst.distance == found[0].worst.distance and again[1].worst.distance != found[1].worst.distance
+    # heights that are not those of the summary are designed again
+    path = tmp_path / "o" / "1" / "height.npy"
+    made = np.load(path)
+    np.save(path, made[::-1] + 0.01)
+    nacre.design.many(RELIEF, [labs[0], (30.0, 0.0, 0.0)], tmp_path / "o", resume=True, workers=Workers(1))
+    np.testing.assert_array_equal(np.load(path), made)
 
 
 def test_a_relief_task_goes_to_worker_processes() -> None:

@@ -114,3 +114,21 @@ def test_designs_and_gamuts_refuse_ties_of_what_they_vary(number: str) -> None:
         read_task(target)
     found = nacre.gamut(FILM, ["layers[1].thickness_nm=50:200"], points=20)
     assert len(found.lab) == 20
+
+
+def test_a_search_for_the_stack_refuses_ties_of_layers() -> None:
+    aim = [{"geometry": "specular 0", "lab": [50, 0, 0]}]
+    target = {"recipe": FILM, "layers": {"palette": ["SiO2", "TiO2"]}, "target": aim}
+    with pytest.raises(RecipeError, match=r"ties\."):
+        read_task(target)
+    free = {**FILM, "numbers": {"d": 1.0, "s": 2.0}, "ties": {"numbers.d": "2*numbers.s"}}
+    assert read_task({**target, "recipe": free}).material.family == "film"
+
+
+def test_a_name_that_begins_like_a_tied_one_may_vary() -> None:
+    film = {**FILM, "numbers": {"d": 1.0, "dd": 2.0, "s": 3.0}, "ties": {"numbers.s": "2*numbers.dd"}}
+    target = {"recipe": film, "target": [{"geometry": "specular 0", "lab": [50, 0, 0]}]}
+    task = read_task({**target, "parameters": {"numbers.d": {"min": 1, "max": 2}}})
+    assert [number.path for number in task.parameters] == ["numbers.d"]
+    with pytest.raises(RecipeError, match=r"ties\."):
+        read_task({**target, "parameters": {"numbers.dd": {"min": 1, "max": 2}}})

@@ -194,6 +194,11 @@ def _search(_: None, task: Task) -> tuple[dict[str, Any], list[TargetResult], di
     return solution.changes, solution.targets, solution.facts
 
 
+def _digest(recipe: Path, facts: Mapping[str, Any]) -> str:
+    """Return hashes of a solution's recipe and of the files that make it up, such as the heights of a relief."""
+    return "".join(file_digest(recipe.parent / name) for name in facts.get("files") or [recipe.name])
+
+
 class _BatchFolder:
     """Batch folder, updated as solutions arrive.
 
@@ -288,7 +293,7 @@ class _BatchFolder:
         row = self.colours[number]
         document = {
             "name": row.name, "folder": self.names[number], "lab": row.lab.tolist(), "met": solution.is_met,
-            "recipe_digest": file_digest(solution.recipe),
+            "recipe_digest": _digest(solution.recipe, solution.facts),
         } | ({"texture": row.texture} if row.texture else {})  # fmt: skip
         self._documents[number] = document | document_of(solution, task.light)
         if time.monotonic() - self._last > WRITE_INTERVAL_S:
@@ -321,7 +326,7 @@ class _BatchFolder:
         facts = {key: one[key] for key in ("sensitivity", "total_nm", "files") if one.get(key)}
         facts |= {"yield": one["yield_details"]} if one.get("yield_details") else {}
         path = self.folder / self.names[number] / RECIPE
-        if one.get("recipe_digest", "") not in ("", file_digest(path)):
+        if one.get("recipe_digest", "") not in ("", _digest(path, facts)):
             raise ValueError(f"{path}: is not the recipe of the summary")
         return Solution(path, task.read(path.parent, one["changes"]), one["changes"], results, facts)
 

@@ -188,7 +188,7 @@ def find_gamut(
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
     material = material.at_low_fidelity().with_parts_loaded(table)
     free = read_parameters(dict(table), material, source)
-    refuse_ties(material, free, source)
+    refuse_ties(material, [number.path for number in free], source)
     if not free:
         raise RecipeError(f"{source}: nothing is free; use --parameter PATH=LOW:HIGH")
     at = applicable_geometry([material, *_variants(material, free)], geometry, f"{source}: geometry")

@@ -182,18 +182,22 @@ def _recipe_value(material: Material, path: str) -> Any:
         return None
 
 
-def refuse_ties(material: Material, parameters: Sequence[Parameter], source: str) -> None:
-    """Refuse `[ties]` that a parameter moves, since only fits, tolerances, diagnoses, sweeps and `--set` compute them.
+def refuse_ties(material: Material, paths: Sequence[str], source: str) -> None:
+    """Refuse `[ties]` of values that vary, since only fits, tolerances, diagnoses, sweeps and `--set` compute them.
+
+    Args:
+        paths: paths of the recipe that vary, each with everything below it.
 
     Raises:
         RecipeError: naming the tie.
     """
     for path, text in by_path(material.data.get("ties", {}), set(), source, "ties").items():
-        for each in parameters:
-            if each.path == path or each.path in str(text):
+        for varied in paths:
+            name = re.compile(rf"(?<![\w.]){re.escape(varied)}(?!\w)")
+            if name.search("".join(path.split())) or name.search("".join(str(text).split())):
                 raise RecipeError(
-                    f'{source}: ties.{path} = "{text}" depends on the parameter {each.path} and is not computed here; '
-                    f"remove the tie, or the parameter"
+                    f'{source}: ties.{path} = "{text}" depends on {varied}, which varies, and is not computed here; '
+                    f"remove the tie, or what varies"
                 )
 
 

@@ -244,7 +244,10 @@ def check_task(data: dict[str, Any], context: RecipeContext) -> DesignTask:
                 f'{source}: parameters."{free_path}" names a layer, but [layers] searches the whole stack; remove one'
             )
     parameters = read_parameters(spec.parameters, base, source)
-    refuse_ties(base, parameters, source)
+    varied = [p.path for p in parameters]
+    if spec.layers is not None:
+        varied += ["layers"] if spec.layers.substrate is None else ["layers", "substrate"]
+    refuse_ties(base, varied, source)
     if not parameters and spec.layers is None:
         raise RecipeError(f"{source}: nothing varies; add a [parameters] table, or [layers] for the stack of a film")
     if spec.layers is not None and parameters:
