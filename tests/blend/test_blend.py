@@ -110,3 +110,17 @@ def test_parts_of_an_even_gradient_keep_98_per_cent_of_its_variance(folder: Path
     mask = np.array([materials[0][0] for _, materials in parts])
     assert [share.sum(), share @ mask] == pytest.approx([1.0, 0.5])
     assert 0.98 / 12 <= share @ (mask - 0.5) ** 2 <= 1 / 12
+
+
+def test_the_energy_defect_of_a_blend_is_that_of_its_part() -> None:
+    """A quarter is a paint with the published energy balance, the rest a film, which conserves energy."""
+    pigment = {"volume_fraction": 0.05, "substrate": {"material": "mica", "thickness_nm": 400}}
+    pigment["energy_balance"] = "published"
+    strata = [{"resin": {"n": 1.5}, "thickness_um": 10, "platelets": [pigment]}]
+    paint = {"family": "pearl", "strata": strata, "base": {"albedo": 0.0}}
+    made = {"family": "blend", "mask": 0.25, "first": paint, "second": {"family": "film", "substrate": "Si"}}
+    alone, mixed = (
+        nacre.material(data).model.energy_defect(np.array([0.3]), np.array([500.0, 600.0])) for data in (paint, made)
+    )
+    assert alone.shape == (1, 2) and np.all(alone > 0.0)
+    np.testing.assert_allclose(mixed, 0.25 * alone, rtol=1e-12)

@@ -415,3 +415,10 @@ def test_a_stored_rough_anisotropic_film_has_its_mirror_spectrum(tmp_path: Path)
     made.bsdf(waves).save(tmp_path / "film.nacre")
     stored = nacre.spectrum(nacre.load(tmp_path / "film.nacre"), np.degrees(angles)).specular_reflectance
     assert stored == pytest.approx(made.spectrum(angles, waves).specular_reflectance, abs=1e-3)
+
+
+def test_a_smooth_interface_of_a_crystal_is_no_rough_one() -> None:
+    calcite = {"ordinary": "calcite-o", "extraordinary": "calcite-e"}
+    layers = [{"material": 1.5, "thickness_nm": 90}, {"material": calcite, "thickness_nm": 200}]
+    made = film(substrate=1.5, layers=layers, surface={"interface_roughness_nm": [4.0, 0.0, 0.0]})
+    assert [layer.thickness_nm for layer in made.model.layers] == pytest.approx([4.0, 88.0, 200.0])

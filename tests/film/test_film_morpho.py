@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 from helpers_bsdf import reciprocity_error
 
 from nacre.bsdf import Bsdf
+from nacre.bsdf.texture import Texture, parse_formula
 from nacre.core.arrays import direction
+from nacre.families.film.ridges import remainder
 from nacre.material.material import material
 from nacre.measure.evaluate import directional_hemispherical
 
@@ -138,3 +141,10 @@ def test_the_published_film_only_wing_is_a_microfacet_film(distribution: str) ->
     assert width_deg(bsdf, True) > 2 * width_deg(bsdf, False)
     reflected, _ = directional_hemispherical(bsdf, direction(np.radians([0.0, 50.0, 80.0]), 0.3))
     assert np.max(reflected) <= 1.0
+
+
+def test_the_light_below_ridges_does_not_depend_on_how_they_are_turned() -> None:
+    (lobe,) = morpho(base={"albedo": 0.0}).lobes[:1]
+    turned = replace(lobe, rotation=Texture(0.0, 3.0, formula=parse_formula("3*v")))
+    level, other = (remainder(each, np.full(len(LAM), 0.3)) for each in (lobe, turned))
+    np.testing.assert_allclose(other.entry, level.entry, atol=1e-6)

@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+from helpers_metasurface import monolayer
 
 from nacre.families.metasurface.material import MetasurfaceWarning
 from nacre.material.material import material
@@ -49,3 +50,12 @@ def test_random_metasurfaces_give_back_at_most_a_per_cent_too_much():
 @pytest.mark.full
 def test_many_random_metasurfaces_give_back_at_most_a_per_cent_too_much():
     assert _worst(range(6, 40)) <= EXCESS_BAR
+
+
+@pytest.mark.parametrize("correction", ["none", "qca-balanced"])
+def test_particles_of_the_ambient_leave_the_light_of_the_bare_face(correction):
+    layer = monolayer(550.0, 60.0, 1.0 + 1e-9, 1.5, 0.2, 0.4, lmax=3, correction=correction)
+    cosines = np.array([0.3, 0.7, 1.0])
+    reflected, passed = layer.specular_above(cosines)
+    np.testing.assert_allclose(reflected + passed, 1.0, atol=1e-6)
+    np.testing.assert_allclose(reflected[:, 2], 0.04, atol=1e-6)  # Fresnel along the normal
