@@ -406,12 +406,7 @@ def _on_nodes(power: Array, orders: Array, case: RidgeCase, along: float) -> Arr
     step = case.wavelength_nm / (case.statistics.period_nm * case.cover * chord)
     sines = orders / chord
     nodes = np.linspace(-1.0, 1.0, SINES)
-    place = np.interp(nodes, sines, np.arange(len(sines)))
-    low = np.minimum(place.astype(int), max(len(sines) - 2, 0))
-    weight = np.zeros((SINES, len(sines)))
-    weight[np.arange(SINES), low] = 1.0 - (place - low)
-    if len(sines) > 1:
-        weight[np.arange(SINES), low + 1] = place - low
+    weight = np.stack([np.interp(nodes, sines, row) for row in np.eye(len(sines))], axis=-1)
     # an order's power falls with both cosines, beyond the last order too
     cosines = np.sqrt(np.maximum(1.0 - sines**2, 0.0))
     weight = np.sqrt(np.maximum(1.0 - nodes**2, 0.0))[:, None] * weight / cosines
