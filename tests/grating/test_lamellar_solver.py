@@ -12,6 +12,7 @@ from helpers_grating import recipe, reference
 import nacre
 from nacre.core.arrays import interpolate
 from nacre.core.machine import single_threaded_blas
+from nacre.matter.periodic import lamellar_states
 from nacre.matter.periodic.lamellar_solver import solve_lamellar
 from nacre.matter.periodic.order_tables import order_tables
 from nacre.matter.periodic.scattering_matrix import tangent_over_root
@@ -118,6 +119,25 @@ def test_a_batch_equals_its_cases() -> None:
     for one, many in zip([solve_many([w])[0] for w in waves], solve_many(waves), strict=True):
         assert np.array_equal(one.reflected.numbers, many.reflected.numbers)
         assert difference(one, many) <= 1e-10
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.7])
+def test_poles_and_fractions_are_one_tangent(phi: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thin, thick and absorbing layers over one another."""
+    case = lines((900.0, 6.0, 130.0), (40.0, complex(17.0, 3.0), 250.0)), 2.0 * np.pi / 520.0, 0.4, phi
+    by_poles = solve_lamellar([case])[0]
+    monkeypatch.setattr(lamellar_states, "_from_poles", lamellar_states._from_fraction)
+    assert difference(by_poles, solve_lamellar([case])[0]) <= 1e-6
+
+
+def test_poles_give_the_tangent_between_them_and_beyond() -> None:
+    poles, residues = lamellar_states.tangent_poles(6, 8)
+    x = np.concatenate(
+        [np.linspace(0.1, 9.0, 40), 1j * np.geomspace(0.1, 256.0, 60), np.linspace(1, 9, 9) * (1 + 0.3j)]
+    )
+    found = (residues / (poles - x[:, None] ** 2)).sum(axis=1)
+    assert found == pytest.approx(np.tan(x) / x, abs=1e-7)
+    assert found[40:100] == pytest.approx(np.tan(x[40:100]) / x[40:100], rel=1e-6)
 
 
 def test_tangents_of_a_wide_spectrum() -> None:

@@ -10,20 +10,20 @@ functions, D = epsilon, and b = k_y, the fields obey
 
 P Q separates into the LSM modes (H_x = 0), a scalar problem for E_x, and the LSE modes (E_x = 0; Li, J. Mod. Opt. 40,
 553 (1993)), as the exact equations do. Without loss P and Q are Hermitian, so that energy and reciprocity hold at any
-size. The tangents of `slab` take a tenth of the time of eigenvectors. Arrays begin with the axis of the cases.
+size. Arrays begin with the axis of the cases.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from nacre.core.arrays import gauss_legendre
+from nacre.matter.periodic.lamellar_states import Blocks, Space, blocks, bubble_modes, layer_states
 from nacre.matter.periodic.line_basis import LineMesh, assemble, gauss_values, regions
-from nacre.matter.periodic.scattering_matrix import outgoing_root, scatter, tangent_over_root, uniform_modes
+from nacre.matter.periodic.scattering_matrix import outgoing_root, scatter, uniform_modes
 from nacre.matter.periodic.structure import (
     OrderSet,
     OrderSolution,
@@ -39,48 +39,10 @@ from nacre.matter.periodic.structure import (
 from nacre.matter.periodic.types import Array
 
 Case = tuple[PeriodicStack, float, float, float]
-Blocks = list[list[Array]]
-LARGEST_TANGENT = 1e4  # larger ones, at a resonance between a layer's faces, lose digits; two halves replace the layer
 GRAZING = 1e-13  # least square of k_z / k0
 FINENESS = 18.0  # plane waves to each side, per period or per wavelength, whichever is shorter
 RESOLUTION = 0.09  # plane waves to each side over (degree + 1)^2 / length; both truncation errors cancel most
 CHUNK = 5e5  # numbers in one matrix of all cases
-
-
-@dataclass(frozen=True, eq=False)
-class Space:
-    """Both polynomial spaces with each case's Bloch phases, on a period of length 1.
-
-    Attributes:
-        mesh: the elements.
-        region: `[function]`, the element of each discontinuous function.
-        mass: `[element, node, node]`, before periodicity.
-        inverse: `[case, function, function]`, of the mass of weight 1.
-        phase: `[case]`.
-        slope: `[case, function, function]`, G.
-        alpha, numbers: `[case, wave]`, of plane waves, over k0, and their orders.
-        flat, smooth: `[case, function, wave]`, their integrals with discontinuous and with continuous functions.
-    """
-
-    mesh: LineMesh
-    region: Array
-    mass: Array
-    inverse: Array
-    phase: Array
-    slope: Array
-    alpha: Array
-    numbers: Array
-    flat: Array
-    smooth: Array
-
-    def masses(self, values: Array) -> Array:
-        """Return `[case, function, function]` with weights `[case, element]`."""
-        full = np.tensordot(values, self.mass, axes=1).astype(complex)
-        last = len(self.mesh.edges) - 1
-        full[:, 0] += self.phase.conj()[:, None] * full[:, last]
-        full[:, :, 0] += self.phase[:, None] * full[:, :, last]
-        keep = np.delete(np.arange(full.shape[1]), last)
-        return full[:, keep[:, None], keep]
 
 
 def is_patterned(layer: PatternLayer) -> bool:
@@ -177,21 +139,18 @@ def _solved(
     space = _space_of(stacks, mesh, k0, transverse[:, 0])
     above, below = _outside(stacks, space, k_y)
     states = _layer_states(stacks, space, values, k0, k_y)
-    # incident e of each plane wave: that of order 0
-    wave = np.where(space.numbers[:, None, :, None] == 0, incident[:, :, None], 0.0)
-    joints = space.flat, space.smooth
     if np.any(k_y):
-        up, down = _scattered(joints, above, [_joined(space, k_y, *s) for s in states], below, wave)
+        up, down = _scattered(space.joints, space.zero, above, states, below, incident)
     else:  # E_x and E_y decouple: each is a case of one component
         outer, inner = (np.concatenate([side[0][0], side[1][1]]) for side in (above, below))
-        layers = [
-            (1j * np.concatenate([q_x[:, :, None] * t[: len(cases)], q_y @ t[len(cases) :]]), 1j * t @ p)
-            for t, p, q_x, q_y in states
-        ]  # fmt: skip
-        light = np.concatenate([wave[:, [0]], wave[:, [1]]])
-        found = _scattered((np.concatenate(joints),), [[outer]], layers, [[inner]], light)
+        joints, light = (
+            space.joints.reshape(1, -1, *space.joints.shape[2:]),
+            np.concatenate([incident[:, [0]], incident[:, [1]]]),
+        )
+        found = _scattered(joints, np.tile(space.zero, 2), [[outer]], states, [[inner]], light)
         up, down = (np.concatenate(np.split(side, 2), axis=1) for side in found)
-    reflected, transmitted = _sides(cases, incidences, space, np.concatenate([up - wave, down]))
+    up[np.arange(len(cases)), :, space.zero] -= incident
+    reflected, transmitted = _sides(cases, incidences, space, np.concatenate([up, down]))
     return [OrderSolution(r, t, np.inf, mesh.size, "lines") for r, t in zip(reflected, transmitted, strict=True)]
 
 
@@ -209,21 +168,22 @@ def lamellar_responses(stack: PeriodicStack, k0: float, transverse: Array, upper
     count = len(transverse)
     stacks, k_y = [stack] * count, transverse[:, 1]
     space = _space_of(stacks, mesh, np.full(count, k0), transverse[:, 0], int(np.abs([*upper, *lower]).max()))
-    joints, last = (space.flat, space.smooth), space.numbers.shape[1]
+    joints, last = space.joints, space.numbers.shape[1]
+    adjoints = joints.conj().swapaxes(2, 3)
     sides, drives = _outside(stacks, space, k_y), []
     for side, numbers, index in zip(sides, (upper, lower), (stack.cover, stack.substrate.real), strict=True):
         at = numbers + last // 2
         for i, j in np.ndindex(2, 2):
             side[i][j][:, at] = index if i == j else 0.0
         empty = np.zeros((count, mesh.size, len(at)))
-        drives.append(_blocks([[joints[0][:, :, at], empty], [empty, joints[1][:, :, at]]]))
+        drives.append(blocks([[joints[0][:, :, at], empty], [empty, joints[1][:, :, at]]]))
     top, bottom = drives
     states = _layer_states(stacks, space, np.repeat(values[None], count, axis=0), np.full(count, k0), k_y)
     upper_face, lower_face = _through(
-        _surface(joints, sides[0]), [_joined(space, k_y, *s) for s in states], _surface(joints, sides[1]),
+        _surface(joints, adjoints, sides[0]), states, _surface(joints, adjoints, sides[1]),
         np.concatenate([top, np.zeros_like(bottom)], axis=2), np.concatenate([np.zeros_like(top), bottom], axis=2),
     )  # fmt: skip
-    return _blocks([[top.conj().swapaxes(1, 2) @ upper_face], [bottom.conj().swapaxes(1, 2) @ lower_face]])
+    return blocks([[top.conj().swapaxes(1, 2) @ upper_face], [bottom.conj().swapaxes(1, 2) @ lower_face]])
 
 
 def _space_of(stacks: list[PeriodicStack], mesh: LineMesh, k0: Array, alpha_0: Array, least: int = 0) -> Space:
@@ -244,11 +204,11 @@ def _outside(stacks: list[PeriodicStack], space: Space, k_y: Array) -> tuple[Blo
 
 def _layer_states(
     stacks: list[PeriodicStack], space: Space, values: Array, k0: Array, k_y: Array
-) -> list[tuple[Array, ...]]:  # fmt: skip
-    states: list[tuple[Array, ...]] = []
+) -> list[tuple[Array, Array]]:  # fmt: skip
+    states: list[tuple[Array, Array]] = []
     for at in range(values.shape[1]):
         depth = np.array([stack.layers[at].thickness_nm for stack in stacks]) * k0
-        states += _states(space, values[:, at], depth, k_y)
+        states += layer_states(space, values[:, at], depth, k_y)
     return states
 
 
@@ -259,29 +219,35 @@ def _fixed(mesh: LineMesh, half: int) -> tuple[Array, Array, Array, Array, Array
     Returns:
         mass: `[region, node, node]` before periodicity, and slope: `[function, node]`.
         points: `[point]`, for the integrals.
-        weighted: `[node, point]`, the continuous functions.
+        weighted: `[node and element, point]`, the continuous functions and the constants.
         waves: `[point, wave]`, plane waves of orders -half to half.
         inverses: of the mass of weight 1, with what the phases change.
     """
-    nodes = mesh.size + 1
-    mass, slope = np.zeros((len(mesh.degrees), nodes, nodes)), np.zeros((mesh.size, nodes))
-    points, weighted, row = [], [], 0
+    count, nodes = len(mesh.degrees), mesh.size + 1
+    mass, slope = np.zeros((count, nodes, nodes)), np.zeros((mesh.size, nodes))
+    points, weighted = [], []
     for k, degree in enumerate(mesh.degrees):
-        here, h = mesh.places[k], mesh.edges[k + 1] - mesh.edges[k]
-        mass[k][np.ix_(here, here)] = mesh.mass[k]
-        slope[row : row + degree, here] = mesh.slopes[k]
+        # the node at the period's end is the last one
+        here = np.insert(np.arange(mesh.size), count, mesh.size)[mesh.places[k]]
+        h = mesh.edges[k + 1] - mesh.edges[k]
+        walls, bubbles = here[:2], here[2:]
+        masses, own, ends, _ = bubble_modes(degree)
+        mass[k][np.ix_(walls, walls)] = mesh.mass[k][:2, :2]
+        mass[k][np.ix_(walls, bubbles)], mass[k][np.ix_(bubbles, walls)] = h * ends, h * ends.T
+        mass[k][bubbles, bubbles] = h * masses
+        slope[k, walls], slope[bubbles, bubbles] = mesh.slopes[k][0, :2], 1.0 / np.sqrt(h)
         order = degree // 2 + 6 + int(0.5 * np.pi * h * half) + 2
         x, w = gauss_legendre(order)
-        wide = np.zeros((nodes, order))
-        wide[here] = gauss_values(degree, order)[0] * (0.5 * h * w)
+        wide = np.zeros((nodes + count, order))
+        values = gauss_values(degree, order)[0] * (0.5 * h * w)
+        wide[walls], wide[bubbles], wide[nodes + k] = values[:2], own.T @ values[2:], 0.5 * np.sqrt(h) * w
         points.append(mesh.edges[k] + 0.5 * h * (x + 1.0))
         weighted.append(wide)
-        row += degree
     at = np.concatenate(points)
     # the mass of phase c is core + conj(c) e_0 row + c row e_0: its inverse differs from the core's by two columns
-    total, last = mass.sum(axis=0), len(mesh.edges) - 1
-    core, row_last = (np.delete(each, last, axis=-1) for each in (np.delete(total, last, axis=0), total[last]))
-    core[0, 0] += total[last, last]
+    total = mass.sum(axis=0)
+    core, row_last = total[:-1, :-1].copy(), total[-1, :-1]
+    core[0, 0] += total[-1, -1]
     pair = np.stack([np.eye(mesh.size)[0], row_last], axis=1)
     inverse = np.linalg.inv(core)
     inverses = inverse, inverse @ pair, pair.T @ inverse @ pair
@@ -290,39 +256,28 @@ def _fixed(mesh: LineMesh, half: int) -> tuple[Array, Array, Array, Array, Array
 
 def _space(mesh: LineMesh, half: int, length: Array, alpha_0: Array) -> Space:
     """Return both spaces with `half` plane waves to each side; `length` is the period times k0."""
-    last = len(mesh.edges) - 1
     mass, slope, points, weighted, waves, (inverse, sides, middle) = _fixed(mesh, half)
+    count, size = len(mesh.degrees), mesh.size
     phase = np.exp(1j * alpha_0 * length)
     swap = np.zeros((len(length), 2, 2), dtype=complex)
     swap[:, 0, 1], swap[:, 1, 0] = phase.conj(), phase
     shift = -np.round(alpha_0 * length / (2.0 * np.pi)).astype(int)
     numbers = np.arange(-half, half + 1) + shift[:, None]
     alpha = alpha_0[:, None] + 2.0 * np.pi * numbers / length[:, None]
-    smooth = (weighted * np.exp(1j * np.outer(alpha[:, half] * length, points))[:, None]) @ waves
-    flat = _flat_integrals(mesh, alpha * length[:, None], smooth)
-    smooth[:, 0] += phase.conj()[:, None] * smooth[:, last]
-    slopes = np.repeat(slope[None].astype(complex), len(length), axis=0)
-    slopes[:, :, 0] += phase[:, None] * slope[:, last]
-    return Space(
-        mesh, np.repeat(np.arange(len(mesh.degrees)), mesh.degrees), mass,
-        inverse - sides @ np.linalg.solve(swap + middle, sides.T), phase,
-        np.delete(slopes, last, axis=2) / length[:, None, None], alpha, numbers, flat, np.delete(smooth, last, axis=1),
-    )  # fmt: skip
-
-
-def _flat_integrals(mesh: LineMesh, turns: Array, smooth: Array) -> Array:
-    """Return the integrals with discontinuous functions: the constants, and the derivatives of the bubbles.
-
-    Args:
-        turns: wave numbers times the period `[case, wave]`.
-        smooth: integrals with the continuous functions `[case, node, wave]`.
-    """
-    rows = []
-    for k, places in enumerate(mesh.places):
-        h = mesh.edges[k + 1] - mesh.edges[k]
-        constant = np.sqrt(h) * np.sinc(turns * (0.5 * h / np.pi)) * np.exp(1j * turns * mesh.centers[k])
-        rows += [constant[:, None], (-1j * np.sqrt(h)) * turns[:, None] * smooth[:, places[2:]]]
-    return np.concatenate(rows, axis=1)
+    found = (weighted * np.exp(1j * np.outer(alpha[:, half] * length, points))[:, None]) @ waves
+    joints = np.empty((2, len(length), size, len(waves[0])), dtype=complex)
+    joints[0, :, :count], joints[1] = found[:, size + 1 :], found[:, :size]
+    # integrals with the derivatives of functions that vanish at the walls
+    roots = np.sqrt(np.diff(mesh.edges))[mesh.inner_elements]
+    np.multiply(
+        found[:, count:size], -1j * roots[:, None] * (alpha * length[:, None])[:, None], out=joints[0, :, count:]
+    )
+    joints[1, :, 0] += phase.conj()[:, None] * found[:, size]
+    slopes = np.repeat(slope[None, :, :-1].astype(complex), len(length), axis=0)
+    slopes[:, :count, 0] += phase[:, None] * slope[:count, -1]
+    slopes /= length[:, None, None]
+    inverses = inverse - sides @ np.linalg.solve(swap + middle, sides.T)
+    return Space(mesh, mass, inverses, phase, length, slopes, alpha, numbers, joints)
 
 
 def _admittance(epsilon: Array, alpha: Array, k_y: Array) -> Blocks:
@@ -333,78 +288,31 @@ def _admittance(epsilon: Array, alpha: Array, k_y: Array) -> Blocks:
     return [[(epsilon[:, None] - k_y**2) / gamma, mixed], [mixed, (epsilon[:, None] - alpha**2) / gamma]]
 
 
-def _states(space: Space, values: Array, depth: Array, k_y: Array) -> list[tuple[Array, ...]]:
-    """Return T and P of the LSM and then the LSE problems, and both Q, the first as a diagonal; twice if halved.
-
-    P and Q are those at k_y = 0.
-
-    Args:
-        values: permittivity `[case, region]`.
-        depth: `[case]`, thickness times k0.
-    """
-    identity = np.eye(len(space.region))
-    up, masses = space.slope.conj().swapaxes(1, 2), space.masses(values)
-    p_x = identity - space.slope @ np.linalg.solve(masses, up)
-    q_x = values[:, space.region]
-    p_y, q_y = space.inverse, masses - up @ space.slope
-    squared = np.concatenate([p_x * q_x[:, None], p_y @ q_y]) - np.tile(k_y**2, 2)[:, None, None] * identity
-    for count in (1, 2):
-        half = np.tile(0.5 * depth / count, 2)[:, None, None]
-        tangent = half * tangent_over_root(half**2 * squared)
-        if (tangent.real**2 + tangent.imag**2).max() < (LARGEST_TANGENT * half.max()) ** 2:
-            break
-    return [(tangent, np.concatenate([p_x, p_y]), q_x, q_y)] * count
-
-
-def _joined(space: Space, k_y: Array, t: Array, p: Array, q_x: Array, q_y: Array) -> tuple[Array, Array]:
-    """Return a layer's f / e in the even state and e / f in the odd one, at conical incidence."""
-    (t_x, t_y), (p_x, p_y) = np.split(t, 2), np.split(p, 2)
-    b = k_y[:, None, None]
-    up = space.slope.conj().swapaxes(1, 2)
-    masses = q_y + up @ space.slope
-    mixed = np.linalg.solve(q_y, -1j * b * up)  # E_y over E_x of the LSM modes
-    tangent = _blocks([[t_x, 0.0 * t_x], [mixed @ t_x - t_y @ mixed, t_y]])
-    inverse = np.linalg.inv(masses)
-    crossed = 1j * b * space.slope @ inverse
-    mixed_p = _blocks([[p_x, crossed], [-1j * b * inverse @ up, p_y - b**2 * inverse]])
-    q = _blocks([[(q_x[:, None] - b**2) * np.eye(len(space.region)), -1j * b * space.slope], [1j * b * up, q_y]])
-    return 1j * q @ tangent, 1j * tangent @ mixed_p
-
-
-def _blocks(rows: Blocks) -> Array:
-    return np.concatenate([np.concatenate(row, axis=2) for row in rows], axis=1)
-
-
-def _surface(joints: Sequence[Array], y: Blocks) -> Array:
+def _surface(joints: Array, adjoints: Array, y: Blocks) -> Array:
     """Return f / e of plane waves in the functions."""
-    return _blocks(
-        [[a * y[i][j][:, None] @ b.conj().swapaxes(1, 2) for j, b in enumerate(joints)] for i, a in enumerate(joints)]
-    )
+    return blocks([[a * y[i][j][:, None] @ b for j, b in enumerate(adjoints)] for i, a in enumerate(joints)])
 
 
 def _scattered(
-    joints: Sequence[Array], above: Blocks, layers: list[tuple[Array, Array]], below: Blocks, wave: Array
+    joints: Array, zero: Array, above: Blocks, layers: list[tuple[Array, Array]], below: Blocks, light: Array
 ) -> tuple[Array, Array]:  # fmt: skip
     """Return the total e of plane waves at the upper and at the lower face, `[case, component, wave, in]`.
 
     Args:
         joints: integrals of each component with the plane waves.
-        wave: incident e, in the same form.
+        zero: place of order 0 `[case]`.
+        light: incident e in it `[case, component, in]`.
     """
+    each, adjoints = np.arange(len(zero)), joints.conj().swapaxes(2, 3)
+    driven = [np.sum([y[each, zero, None] * light[:, j] for j, y in enumerate(row)], axis=0) for row in above]
     source = np.concatenate(
-        [
-            sum(a @ (y[..., None] * wave[:, j]) for j, y in enumerate(row))
-            for a, row in zip(joints, above, strict=True)
-        ], axis=1,
-    )  # fmt: skip
-    faces = _through(_surface(joints, above), layers, _surface(joints, below), 2.0 * source)
+        [a[each, :, zero][..., None] * 2.0 * f[:, None] for a, f in zip(joints, driven, strict=True)], axis=1
+    )
+    faces = _through(_surface(joints, adjoints, above), layers, _surface(joints, adjoints, below), source)
     upper, lower = (
-        np.stack(
-            [a.conj().swapaxes(1, 2) @ part for a, part in zip(joints, np.split(e, len(joints), axis=1), strict=True)],
-            axis=1,
-        )
+        np.stack([a @ part for a, part in zip(adjoints, np.split(e, len(joints), axis=1), strict=True)], axis=1)
         for e in faces
-    )  # fmt: skip
+    )
     return upper, lower
 
 

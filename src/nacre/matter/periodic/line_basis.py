@@ -52,6 +52,11 @@ class LineMesh:
         """Middle of each element."""
         return 0.5 * (self.edges[1:] + self.edges[:-1])
 
+    @property
+    def inner_elements(self) -> Array:
+        """The element of each function that vanishes at all ends of elements."""
+        return np.repeat(np.arange(len(self.degrees)), np.array(self.degrees) - 1)
+
 
 @dataclass(frozen=True, eq=False)
 class LineBasis:
@@ -134,7 +139,7 @@ def assemble(period: float, edges: Array, degrees: tuple[int, ...]) -> LineMesh:
     first_bubble = len(edges)
     for k, degree in enumerate(degrees):
         h = edges[k + 1] - edges[k]
-        values, derivatives = _reference(degree)
+        values, derivatives = element_matrices(degree)
         mass.append(h * values)
         slopes.append(derivatives / np.sqrt(h))
         bubbles = first_bubble + np.arange(degree - 1)
@@ -156,7 +161,7 @@ def gauss_values(degree: int, count: int) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=64)
-def _reference(degree: int) -> tuple[Array, Array]:
+def element_matrices(degree: int) -> tuple[Array, Array]:
     """Return the mass matrix and the derivatives (in orthonormal Legendre polynomials) on [0, 1]."""
     _, w = gauss_legendre(degree + 1)
     values, _ = gauss_values(degree, degree + 1)
