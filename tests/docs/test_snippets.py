@@ -22,6 +22,7 @@ GENERATED = ("_build", "tutorials", "reference", "gallery", "reports", "project"
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 NAME = re.compile(r"#\s*([\w./-]+\.(?:toml|csv))\s*$")
 QUICK_RENDER = ["--size", "24x24", "--spp", "1"]
+LARGE_PICTURE = re.compile(r"(nacre\.render\([^()\n]*)\bsize=\d{3,}")
 QUICK_FRAMES = ["--frames", "2"]
 QUICK_SEARCH_S = 2
 QUICK_ENSEMBLE = "[model.ensemble]\nspheres = 20\nrealisations = 4\n"
@@ -102,6 +103,7 @@ def test_the_snippets_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pyt
             for line in _commands(text):
                 _run_line(line)
         elif kind == "python":
+            text = LARGE_PICTURE.sub(r"\1size=24, spp=1", text)
             exec(compile(text, str(page), "exec"), namespace)  # the page's own program
 
 
