@@ -317,8 +317,7 @@ class SubstrateSpec(RecipeModel):
             data = {**{k: v for k, v in data.items() if k != "albedo"}, **albedo}
         return data
 
-    @pydantic.model_validator(mode="after")
-    def _one_kind(self) -> SubstrateSpec:
+    def model_post_init(self, _: Any) -> None:
         given = [k for k in ("albedo", "material", "recipe") if getattr(self, k) is not None] + ["none"] * self.none
         if len(given) > 1:
             raise ValueError(f"gives {' and '.join(given)}; give one of albedo, material, recipe, none = true")
@@ -326,7 +325,6 @@ class SubstrateSpec(RecipeModel):
             raise ValueError("recipe has no family; it should be a file's name, or a table with the keys of a recipe")
         if self.recipe is not None and self.roughness != 0.0:
             raise ValueError("roughness of a base recipe belongs in that recipe")
-        return self
 
     def build(self, context: RecipeContext, medium: OpticalConstant) -> Substrate:
         """Return the substrate below a medium, the last resin.

@@ -460,8 +460,7 @@ class TextureSpec(RecipeModel):
 
     _names: dict[str, float] = pydantic.PrivateAttr(default_factory=dict)  # the recipe's named numbers
 
-    @pydantic.model_validator(mode="after")
-    def _one_of_two(self, info: pydantic.ValidationInfo) -> TextureSpec:
+    def model_post_init(self, context: Any) -> None:
         if (self.texture is None) == (self.formula is None):
             raise ValueError("give either texture = an image file or formula = an expression of u and v")
         if self.texture is not None and (self.min is None or self.max is None):
@@ -471,13 +470,12 @@ class TextureSpec(RecipeModel):
         if self.min is not None and self.max is not None and self.min > self.max:
             raise ValueError(f"min = {self.min:g} is above max = {self.max:g}")
         if self.formula is not None:
-            if info.context is not None:
-                self._names = info.context["recipe"].names
+            if context is not None:
+                self._names = context["recipe"].names
             try:
                 parse_formula(self.formula, self._names)
             except NacreError as error:
                 raise ValueError(str(error)) from None
-        return self
 
     def build(self, context: RecipeContext, key: str) -> Texture:
         """Read the image or parse the formula.

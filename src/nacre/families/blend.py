@@ -49,11 +49,9 @@ class BlendSpec(RecipeModel):
         examples=[{"texture": "grey.png", "min": 0, "max": 1}, {"formula": "step(0.5, u)"}, 0.5],
     )
 
-    @pydantic.model_validator(mode="after")
-    def _mask_is_a_share(self) -> BlendSpec:
+    def model_post_init(self, _: Any) -> None:
         if isinstance(self.mask, float) and not 0.0 <= self.mask <= 1.0:
             raise ValueError(f"mask = {self.mask:g} is not allowed; it should be in [0, 1]")
-        return self
 
     def build(self, context: RecipeContext) -> Blend:
         """Load both materials.

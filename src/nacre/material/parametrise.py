@@ -237,6 +237,7 @@ def _rebuilt(value: Any, changed: Mapping[Keys, Mapping[str, Any]], context: Rec
     if kind not in _CHECKS:
         _CHECKS[kind] = _after_checks(kind)
     info = SimpleNamespace(context={"recipe": context})
+    made.model_post_init(info.context)
     for check in _CHECKS[kind]:
         made = check(made, info)
     return made

@@ -83,13 +83,12 @@ class LayerSpec(RecipeModel):
         default="right", description="a right-handed screw reflects right circular light", examples=["left"]
     )
 
-    @pydantic.model_validator(mode="after")
-    def _is_a_helix(self) -> LayerSpec:
+    def model_post_init(self, _: Any) -> None:
         if self.pitch_nm is None:
             stray = {"pitch_lower_nm", "pitch_deviation_nm", "handedness"} & self.model_fields_set
             if stray:
                 raise ValueError(f".{min(stray)} belongs to a twisted layer; give pitch_nm")
-            return self
+            return
         if not isinstance(self.material, AnisotropicSpec):
             raise ValueError(f".pitch_nm = {self.pitch_nm:g} has no effect on an isotropic material")
         if self.incoherent:
@@ -105,7 +104,6 @@ class LayerSpec(RecipeModel):
                 f".pitch_deviation_nm = {self.pitch_deviation_nm:g} is too wide for a pitch of {least:g} nm; it should "
                 f"be below {least / SPREAD_REACH:g}"
             )
-        return self
 
     @property
     def helix(self) -> Helix | None:

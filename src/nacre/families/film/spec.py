@@ -256,11 +256,9 @@ class SurfaceSpec(RecipeModel):
         examples=[2, [3, 0, 1]],
     )
 
-    @pydantic.model_validator(mode="after")
-    def _one_width(self) -> SurfaceSpec:
+    def model_post_init(self, _: Any) -> None:
         if "roughness" in self.model_fields_set and self.exponent is not None:
             raise ValueError("roughness and exponent exclude each other; remove one of the two")
-        return self
 
     def build(self, context: RecipeContext) -> Roughness:
         """Return the roughness."""
@@ -337,8 +335,7 @@ class RidgesSpec(RecipeModel):
         default=20, description="of vector optics: number of supercells, over which the light is averaged"
     )
 
-    @pydantic.model_validator(mode="after")
-    def _width_fits(self) -> RidgesSpec:
+    def model_post_init(self, _: Any) -> None:
         if self.width_nm > self.pitch_nm:
             raise ValueError(f"width_nm = {self.width_nm:g} is larger than pitch_nm = {self.pitch_nm:g}")
         if self.optics == "scalar":
@@ -349,7 +346,6 @@ class RidgesSpec(RecipeModel):
             raise ValueError(
                 f'count = {self.count} is too many for optics = "vector"; allowed: 1 to {MOST_RIDGES} ridges'
             )
-        return self
 
     def build(self, context: RecipeContext) -> Ridges:
         """Return the ridges."""
@@ -389,13 +385,11 @@ class WavelengthsSpec(RecipeModel):
         default=None, description="step of the grid; default: chosen by the optical thickness", examples=[2]
     )
 
-    @pydantic.model_validator(mode="after")
-    def _ascends(self) -> WavelengthsSpec:
+    def model_post_init(self, _: Any) -> None:
         if self.max_nm <= self.min_nm:
             raise ValueError(f"max_nm = {self.max_nm:g} must be above min_nm = {self.min_nm:g}")
         if self.step_nm is not None and (self.max_nm - self.min_nm) / self.step_nm > 50_000:
             raise ValueError(f"step_nm = {self.step_nm:g} makes more than 50000 wavelengths")
-        return self
 
 
 @dataclass(frozen=True)
@@ -467,8 +461,7 @@ class FilmSpec(RecipeModel):
             return filled
         return data
 
-    @pydantic.model_validator(mode="after")
-    def _fits_together(self) -> FilmSpec:
+    def model_post_init(self, _: Any) -> None:
         plain = dict(_plain_layers(self.layers))
         varying = [path for path, layer in plain.items() if isinstance(layer.thickness_nm, TextureSpec)]
         if len(varying) > MAX_VARYING:
@@ -492,7 +485,6 @@ class FilmSpec(RecipeModel):
                 if layer.incoherent or isinstance(layer.thickness_nm, TextureSpec):
                     what = "incoherent = true" if layer.incoherent else "thickness_nm is a texture, which"
                     raise ValueError(f'{path}.{what} is not allowed in ridges with optics = "vector"')
-        return self
 
     def build(self, context: RecipeContext) -> FilmModel:
         """Return the material.

@@ -62,8 +62,7 @@ class SpheresSpec(RecipeModel):
     )
     shell: ShellSpec | None = Field(default=None, description="a coat round the core")
 
-    @pydantic.model_validator(mode="after")
-    def _check(self) -> SpheresSpec:
+    def model_post_init(self, _: Any) -> None:
         if self.volume_fraction > MAX_PACKING:
             raise ValueError(
                 f"volume_fraction = {self.volume_fraction:g} is not allowed; it should be at most {MAX_PACKING:g}, "
@@ -79,7 +78,6 @@ class SpheresSpec(RecipeModel):
                 f"deviation_nm = {self.deviation_nm:g} is not allowed; it should be at most "
                 f"{MAX_RELATIVE_DEVIATION:g} of the outer radius, {self.outer_nm:g}"
             )
-        return self
 
     @property
     def outer_nm(self) -> float:
@@ -106,8 +104,7 @@ class AbsorberSpec(RecipeModel):
         default=None, description="with material: its volume fraction in the matrix", examples=[0.003]
     )
 
-    @pydantic.model_validator(mode="after")
-    def _one_form(self) -> AbsorberSpec:
+    def model_post_init(self, _: Any) -> None:
         if (self.k is None) == (self.material is None):
             raise ValueError("give k or material, one of the two")
         if (self.material is None) != (self.volume_fraction is None):
@@ -117,7 +114,6 @@ class AbsorberSpec(RecipeModel):
                 f"k = {self.k:g} is not allowed; it should be 0 or more: n + ik with k >= 0 absorbs, and k < 0 would "
                 "be gain"
             )
-        return self
 
 
 class BallsSpec(RecipeModel):
@@ -136,14 +132,12 @@ class BallsSpec(RecipeModel):
         examples=[0.3],
     )
 
-    @pydantic.model_validator(mode="after")
-    def _check(self) -> BallsSpec:
+    def model_post_init(self, _: Any) -> None:
         if self.volume_fraction > MAX_PACKING:
             raise ValueError(
                 f"volume_fraction = {self.volume_fraction:g} is not allowed; it should be at most {MAX_PACKING:g}, "
                 "the densest random packing of balls"
             )
-        return self
 
     def build(self, glass: Composite, context: RecipeContext, extrapolate: str, key: str) -> Balls:
         """Return balls of a glass; `key` is the table's path in the recipe, with a final dot.
@@ -205,11 +199,9 @@ class StructureSpec(RecipeModel):
             raise ValueError(f'= {show_value(data)} is not known; write "percus-yevick" or {{sq = "s.csv"}}')
         return {"name": data}
 
-    @pydantic.model_validator(mode="after")
-    def _one_source(self) -> StructureSpec:
+    def model_post_init(self, _: Any) -> None:
         if (self.name is None) == (self.sq is None):
             raise ValueError('needs one of name, sq; write "percus-yevick" or {sq = "s.csv"}')
-        return self
 
     def build(self, context: RecipeContext, outer_nm: float, place: str = "") -> Callable[[Array], Array] | None:
         """Return the structure factor S as a function of q d, d: outer diameter; None for hard spheres.
@@ -388,19 +380,17 @@ class GlassSpec(RecipeModel):
     def _other_families(cls, data: Any) -> Any:
         return nested_strata(data, "glass")
 
-    @pydantic.model_validator(mode="after")
-    def _check(self) -> GlassSpec:
+    def model_post_init(self, _: Any) -> None:
         given = [key for key in OF_ONE_LAYER if key in self.model_fields_set]
         if self.strata:
             if given:
                 raise ValueError(f"gives strata and {given[0].replace('_nm', '_um')}; write every layer in strata")
-            return self
+            return
         for key in ("thickness_nm", "spheres"):
             if getattr(self, key) is None:
                 raise ValueError(f"{key.replace('_nm', '_um')} is missing")
         assert self.thickness_nm is not None and self.spheres is not None
         _check_layer(self.thickness_nm, self.spheres, self.balls, self.model)
-        return self
 
     def build(self, context: RecipeContext) -> Glass:
         """Return the material.

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-import pydantic
 from pydantic import Field
 
 from nacre.bsdf.texture import read_grey
@@ -104,8 +103,7 @@ class ShapeSpec(RecipeModel):
     cell: str | None = Field(default=None, description="name of the GDS cell; default: its only top cell")
     layer: Annotated[int, Field(ge=0, le=65535)] = Field(default=1, description="layer of the GDS file")
 
-    @pydantic.model_validator(mode="after")
-    def _has_its_sizes(self) -> ShapeSpec:
+    def model_post_init(self, _: Any) -> None:
         kind = self.kind
         if kind is None:
             raise ValueError(f"shape is missing; allowed: {', '.join(KINDS)}")
@@ -133,7 +131,6 @@ class ShapeSpec(RecipeModel):
                 raise ValueError(
                     f"corner_radius_nm = {self.corner_radius_nm:g} is more than half a side; allowed: at most {most:g}"
                 )
-        return self
 
     @property
     def kind(self) -> str | None:

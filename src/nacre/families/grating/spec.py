@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-import pydantic
 from pydantic import Field
 
 from nacre.bsdf.texture import TextureSpec
@@ -75,8 +74,7 @@ class LatticeSpec(RecipeModel):
         default=None, description="angle between the two periods; default: 90, hexagonal 60", examples=[75]
     )
 
-    @pydantic.model_validator(mode="after")
-    def _fits(self) -> LatticeSpec:
+    def model_post_init(self, _: Any) -> None:
         if isinstance(self.period_nm, tuple):
             if self.kind in ("line", "hexagonal"):
                 raise ValueError(f'kind = "{self.kind}" has one period; allowed: a single number in period_nm')
@@ -86,7 +84,6 @@ class LatticeSpec(RecipeModel):
             raise ValueError(f'angle_deg = {self.angle_deg:g} does not fit kind = "square"; allowed: 90, or no kind')
         if self.kind == "hexagonal" and self.angle_deg not in (None, 60.0, 120.0):
             raise ValueError(f"angle_deg = {self.angle_deg:g} does not fit a hexagonal lattice; allowed: 60, 120")
-        return self
 
     def build(self, is_lines: bool, period_nm: float = MIN_PERIOD_NM) -> Cell:
         """Return the cell.
@@ -134,8 +131,7 @@ class ProfileSpec(RecipeModel):
     )
     file: str | None = Field(default=None, description="the same as heights", examples=["profile.csv"])
 
-    @pydantic.model_validator(mode="after")
-    def _has_its_numbers(self) -> ProfileSpec:
+    def model_post_init(self, _: Any) -> None:
         is_file = self.shape == "file"
         for key, shapes in PROFILE_KEYS.items():
             if getattr(self, key) is not None and self.shape not in shapes:
@@ -151,7 +147,6 @@ class ProfileSpec(RecipeModel):
                 raise ValueError(
                     f"top = {self.top:g} and bottom = {self.bottom:g} leave no flanks; allowed: a sum below 1"
                 )
-        return self
 
     def build(self, context: RecipeContext, period_nm: float) -> Profile:
         """Return the profile.
@@ -238,11 +233,9 @@ class WavelengthsSpec(RecipeModel):
     max_nm: Annotated[float, Field(ge=100.0, le=1e5)] = Field(default=780.0, description="last wavelength of the grid")
     step_nm: Annotated[float, Field(ge=0.5, le=1000.0)] = Field(default=20.0, description="step of the grid")
 
-    @pydantic.model_validator(mode="after")
-    def _ascends(self) -> WavelengthsSpec:
+    def model_post_init(self, _: Any) -> None:
         if self.max_nm <= self.min_nm:
             raise ValueError(f"max_nm = {self.max_nm:g} must be above min_nm = {self.min_nm:g}")
-        return self
 
     def grid(self) -> Array:
         """Return the wavelengths."""
@@ -279,8 +272,7 @@ class GratingSpec(RecipeModel):
     model: ModelSpec = Field(default=ModelSpec(), description="accuracy of the solution")
     wavelengths: WavelengthsSpec = Field(default=WavelengthsSpec(), description="wavelength grid of the material")
 
-    @pydantic.model_validator(mode="after")
-    def _fits_together(self) -> GratingSpec:
+    def model_post_init(self, _: Any) -> None:
         if self.profile is not None and any(layer.shapes for layer in self.layers):
             raise ValueError("profile and shapes exclude each other; remove one of the two")
         is_lines = self._is_lines
@@ -295,7 +287,6 @@ class GratingSpec(RecipeModel):
                 f"lattice.period_nm = {max(cell.period_x, cell.period_y):g} is too large for two periods; "
                 f"allowed: at most {MAX_CROSSED_NM:g}"
             )
-        return self
 
     @property
     def _is_lines(self) -> bool:

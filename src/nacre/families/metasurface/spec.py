@@ -110,8 +110,7 @@ class StructureSpec(RecipeModel):
             )
         return data
 
-    @pydantic.model_validator(mode="after")
-    def _one_source(self) -> StructureSpec:
+    def model_post_init(self, _: Any) -> None:
         given = [key for key in ("name", "points", "sq") if getattr(self, key) is not None]
         if len(given) != 1:
             raise ValueError(f"gives {' and '.join(given) or 'nothing'}; it needs one of name, points, sq")
@@ -126,7 +125,6 @@ class StructureSpec(RecipeModel):
             raise ValueError(f'names a picture, points = "{self.points.file}", and not how wide it is; give width_um')
         if not shown and self.width_um is not None:
             raise ValueError(f"gives width_um, which is of a picture; points should name one ({', '.join(SUFFIXES)})")
-        return self
 
 
 class MonolayerSpec(RecipeModel):
@@ -152,8 +150,7 @@ class MonolayerSpec(RecipeModel):
         default=StructureSpec(name="hard-disk"), description="kind of order: a name, or a table that leads to a file"
     )
 
-    @pydantic.model_validator(mode="after")
-    def _one_density(self) -> MonolayerSpec:
+    def model_post_init(self, _: Any) -> None:
         if (self.coverage is None) == (self.density_per_um2 is None) and self.structure.points is None:
             raise ValueError("needs either coverage or density_per_um2")
         for key in ("coverage", "density_per_um2", "packing"):
@@ -170,7 +167,6 @@ class MonolayerSpec(RecipeModel):
                 f"packing = {self.packing:g} is not allowed; it should be at most {PACKING_LIMIT:g}, "
                 "where hard disks freeze"
             )
-        return self
 
 
 class EnsembleSpec(RecipeModel):

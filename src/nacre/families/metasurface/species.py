@@ -13,7 +13,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
@@ -595,8 +595,7 @@ class SpeciesSpec(RecipeModel):
                 raise ValueError(f"gives {key}: {OTHER_WORDS[key]}")
         return data
 
-    @pydantic.model_validator(mode="after")
-    def _turned_as_one(self) -> Self:
+    def model_post_init(self, _: Any) -> None:
         if self.tmatrix is None and self.orientation == "aligned":
             raise ValueError(
                 f'gives orientation = "aligned" of a {self.shape}, which looks the same at any turn about the normal; '
@@ -604,22 +603,18 @@ class SpeciesSpec(RecipeModel):
             )
         if "turn_deg" in self.model_fields_set and self.orientation != "aligned":
             raise ValueError('gives turn_deg, which is of aligned particles alone; write orientation = "aligned" too')
-        return self
-
-    @pydantic.model_validator(mode="after")
-    def _one_place(self) -> Self:
         if self.depth_nm is not None and "gap_nm" in self.model_fields_set:
             raise ValueError("gives gap_nm and depth_nm; particles lie above the layers or inside one")
-        return self
+        self._one_kind()
+        self._moderate_spread()
 
-    @pydantic.model_validator(mode="after")
-    def _one_kind(self) -> Self:
+    def _one_kind(self) -> None:
         if self.tmatrix is not None:
             of_others = ("material", "radius_nm", "shape", "deviation_nm", "shell", "edge_radius_nm")
             given = [name for name in of_others if name in self.model_fields_set]
             if given:
                 raise ValueError(f"gives tmatrix and {given[0]}; a file of T-matrices says what the particle is")
-            return self
+            return
         required: tuple[str, ...] = ("material", "radius_nm")
         foreign: tuple[str, ...] = ("diameter_nm", "height_nm")
         if self.shape != "sphere":
@@ -634,10 +629,8 @@ class SpeciesSpec(RecipeModel):
             raise ValueError(
                 f"needs {' and '.join(missing)} of a {self.shape}, or tmatrix, a file of T-matrices, in place of all"
             )
-        return self
 
-    @pydantic.model_validator(mode="after")
-    def _moderate_spread(self) -> Self:
+    def _moderate_spread(self) -> None:
         key, radius = "radius_nm", self.radius_nm
         if radius is None and self.diameter_nm is not None:
             key, radius = "half of diameter_nm", self.diameter_nm / 2
@@ -646,7 +639,6 @@ class SpeciesSpec(RecipeModel):
                 f"deviation_nm = {self.deviation_nm:g} is not allowed; it should be at most "
                 f"{WIDEST_RELATIVE_SIZE:g} of {key} = {radius:g}"
             )
-        return self
 
     def species(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool, share: float = 1.0) -> Species:
         """Return the species with number fraction `share`; see `body`."""
@@ -796,11 +788,10 @@ class ParticleSpec(SpeciesSpec):
         default=None, description="second species of particles in a mixture"
     )
 
-    @pydantic.model_validator(mode="after")
-    def _all_inside_or_none(self) -> Self:
+    def model_post_init(self, _: Any) -> None:
+        super().model_post_init(_)
         if self.second is not None and (self.depth_nm is None) != (self.second.depth_nm is None):
             raise ValueError("and second: one gives depth_nm; both species lie inside one layer, or both above all")
-        return self
 
     def all_species(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool) -> tuple[Species, ...]:
         """Return the one or two species, in the medium `around` them.

@@ -69,15 +69,13 @@ class ThicknessKeys(RecipeModel):
         examples=["thickness.csv"],
     )
 
-    @pydantic.model_validator(mode="after")
-    def _one_form(self) -> ThicknessKeys:
+    def model_post_init(self, _: Any) -> None:
         if (self.histogram is None) == (self.thickness_nm is None):
             raise ValueError("give thickness_nm (with deviation_nm), or histogram, a file of two columns")
         if self.histogram is not None and self.deviation_nm > 0:
             raise ValueError("deviation_nm and histogram exclude each other; remove one of the two")
         if self.distribution != "truncated" and (self.min_nm > 0 or self.max_nm is not None):
             raise ValueError('min_nm and max_nm belong to distribution = "truncated"')
-        return self
 
     def thickness(self, context: RecipeContext, key: str) -> Thickness:
         """Return the distribution.
@@ -151,8 +149,7 @@ class PlateletSpec(RecipeModel):
         "tables fitted that way (Guillen et al. 2020) and loses light",
     )
 
-    @pydantic.model_validator(mode="after")
-    def _check(self) -> PlateletSpec:
+    def model_post_init(self, _: Any) -> None:
         if not 0.0 < self.volume_fraction <= MAX_FRACTION:
             raise ValueError(
                 f"volume_fraction = {self.volume_fraction:g} is not allowed; it should be above 0 and at most "
@@ -160,7 +157,6 @@ class PlateletSpec(RecipeModel):
             )
         if self.substrate is None and (len(self.coatings) != 1 or self.lower_coatings is not None):
             raise ValueError("substrate is missing; only a free platelet of a single coating has none")
-        return self
 
     def build(self, context: RecipeContext, key: str) -> Flakes:
         """Return the flakes."""
@@ -210,15 +206,13 @@ class DyeSpec(RecipeModel):
 
     _index: OpticalConstant = pydantic.PrivateAttr()
 
-    @pydantic.model_validator(mode="after")
-    def _read_index(self, info: pydantic.ValidationInfo) -> DyeSpec:
+    def model_post_init(self, context: Any) -> None:
         if (self.material is None) == (self.file is None):
             raise ValueError("give material or file, one of the two")
-        spec = self.material or IndexSpec.model_validate({"file": self.file}, context=info.context)
+        spec = self.material or IndexSpec.model_validate({"file": self.file}, context=context)
         self._index = spec.build()
         if self.radius_nm is None and self.deviation_nm > 0:
             raise ValueError("deviation_nm needs radius_nm beside it")
-        return self
 
     def build(self) -> Dye:
         """Return the dye."""
@@ -257,8 +251,7 @@ class StratumSpec(RecipeModel):
     )
     dye: DyeSpec | None = Field(default=None, description="absorbing or scattering matter in the resin")
 
-    @pydantic.model_validator(mode="after")
-    def _check(self) -> StratumSpec:
+    def model_post_init(self, _: Any) -> None:
         if not 0.0 < self.thickness_nm <= 1e8:
             raise ValueError(
                 f"thickness_um = {self.thickness_nm / 1e3:g} is not allowed; it should be above 0 and at most 100000"
@@ -266,7 +259,6 @@ class StratumSpec(RecipeModel):
         total = sum(p.volume_fraction for p in self.platelets)
         if total > MAX_FRACTION:
             raise ValueError(f"platelets fill {total:g} of the volume together; at most {MAX_FRACTION:g} is allowed")
-        return self
 
     def build(self, context: RecipeContext, key: str) -> Stratum:
         """Return the stratum."""

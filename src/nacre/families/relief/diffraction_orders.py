@@ -26,7 +26,6 @@ from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-import pydantic
 import scipy.fft
 from numpy.typing import NDArray
 from pydantic import Field
@@ -88,11 +87,9 @@ class CoherenceSpec(RecipeModel):
         default=None, description="instead of sigma: full angle of a uniform light source", examples=[0.53]
     )
 
-    @pydantic.model_validator(mode="after")
-    def _exactly_one(self) -> CoherenceSpec:
+    def model_post_init(self, _: Any) -> None:
         if (self.sigma is None) == (self.source_angle_deg is None):
             raise ValueError("coherence: give exactly one of sigma and source_angle_deg")
-        return self
 
     def build(self) -> Coherence:
         """Return the coherence window."""

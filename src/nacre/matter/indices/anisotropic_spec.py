@@ -48,8 +48,7 @@ class AnisotropicSpec(RecipeModel):
         default=0.0, description="azimuth of the optic axis, from u towards v", examples=[20]
     )
 
-    @pydantic.model_validator(mode="after")
-    def _one_form(self) -> AnisotropicSpec:
+    def model_post_init(self, _: Any) -> None:
         pair = (self.ordinary is not None, self.extraordinary is not None)
         if (self.principal is None) != all(pair) or (any(pair) and not all(pair)):
             raise ValueError(
@@ -61,7 +60,6 @@ class AnisotropicSpec(RecipeModel):
         stray = next((key for key in OF_AXES if key in self.model_fields_set), None)
         if self.principal is not None and stray is not None:
             raise ValueError(f".{stray} belongs to ordinary and extraordinary; give euler_deg")
-        return self
 
     def build(self, context: RecipeContext) -> AnisotropicConstant:
         """Return the medium."""

@@ -238,17 +238,15 @@ class IndexSpec(RecipeModel):
             )
         return data
 
-    @pydantic.model_validator(mode="after")
-    def _build_now(self, info: pydantic.ValidationInfo) -> IndexSpec:
+    def model_post_init(self, context: Any) -> None:
         """Build during validation: the recipe's folder is known and errors carry the key."""
-        context = (info.context or {}).get("recipe") or RecipeContext()
+        context = (context or {}).get("recipe") or RecipeContext()
         self._check_form()
         try:
             self._built = self._make(context)
             self._probe()
         except NacreError as error:
             raise ValueError(_after_key(error, self)) from None
-        return self
 
     def build(self, context: RecipeContext | None = None) -> OpticalConstant:
         """Return the optical constant built during validation."""
@@ -549,11 +547,9 @@ class CodyLorentzSpec(RecipeModel):
     oscillators: tuple[BandSpec, ...] = pydantic.Field(min_length=1, max_length=20, description="the bands")
     eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background")
 
-    @pydantic.model_validator(mode="after")
-    def _tail_above_gap(self) -> CodyLorentzSpec:
+    def model_post_init(self, _: Any) -> None:
         if 0.0 < self.tail_start_ev <= self.gap_ev:
             raise ValueError(f"tail_start_ev = {self.tail_start_ev:g} must be above gap_ev = {self.gap_ev:g}, or 0")
-        return self
 
     def terms(self) -> tuple[Term, ...]:
         """Return the bands."""
@@ -625,15 +621,13 @@ class BSplineSpec(RecipeModel):
     )
     eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background")
 
-    @pydantic.model_validator(mode="after")
-    def _fits(self) -> BSplineSpec:
+    def model_post_init(self, _: Any) -> None:
         if len(self.knots_ev) != len(self.values):
             raise ValueError(f"has {len(self.knots_ev)} knots_ev and {len(self.values)} values; give one value a knot")
         if any(b <= a for a, b in zip(self.knots_ev[:-1], self.knots_ev[1:])):
             raise ValueError("knots_ev must ascend")
         if self.knots_ev[0] <= 2.0 * (self.knots_ev[1] - self.knots_ev[0]):
             raise ValueError("knots_ev[0] must exceed twice the first spacing: the spline ends there, above 0 eV")
-        return self
 
     def terms(self) -> tuple[Term, ...]:
         """Return the spline."""
