@@ -1,4 +1,7 @@
-"""Export and import of materials, with a description of the lost properties."""
+"""Export and import of materials, with a description of the lost properties.
+
+The package for three.js holds the colour table, and colours under uniform light for light from all around.
+"""
 
 from collections.abc import Callable
 from pathlib import Path

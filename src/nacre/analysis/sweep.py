@@ -2,7 +2,7 @@
 
 The store is a Zarr group with labelled axes and one chunk per point, which xarray opens. The status of a point is
 written after its values, and every write is an atomic rename. A killed sweep keeps all finished points; the next run
-computes the missing ones.
+computes the missing ones. `read_sweep` reads a store, `sweep_figure` draws it.
 """
 
 from __future__ import annotations

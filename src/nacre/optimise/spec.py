@@ -1,4 +1,7 @@
-"""Schema of a target file: recipe, parameters, targets, light, tolerances, limits and budget."""
+"""Schemas: target files (recipe, parameters, targets, light, tolerances, limits, budget), and paint formulations.
+
+A formulation has a library of pigments and dyes, and a target file.
+"""
 
 from __future__ import annotations
 

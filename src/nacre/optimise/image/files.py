@@ -1,4 +1,7 @@
-"""Picture design image files: the target image, and the parameter maps as 16-bit PNG, TIFF and NPY."""
+"""Picture design image files: the target image, and the parameter maps as 16-bit PNG, TIFF and NPY.
+
+Pixels: sRGB to CIELAB and back, and the mask for pixels whose structures differ.
+"""
 
 from __future__ import annotations
 

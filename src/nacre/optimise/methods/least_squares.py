@@ -1,6 +1,11 @@
 """Multistart least squares: Sobol draws of the unit cube, then trust-region refinement of the best (scipy).
 
 Fits and designs share `sobol_points` and `minimise_residuals`.
+
+Confidence intervals: linear, from the Gauss-Newton covariance; by profile, all values of a number at which the sum of
+squares, minimised over the other numbers, rises by at most the F quantile (Bates and Watts, Nonlinear Regression
+Analysis, 1988, ch. 6); by resampling, fits to simulated data whose residuals are drawn from those of the fit (Efron and
+Tibshirani, An Introduction to the Bootstrap, 1993, ch. 9).
 """
 
 from __future__ import annotations

@@ -1,5 +1,8 @@
 """Basin hopping over interference orders: interleaved descents, and restarts from the minima next to the best one.
 
+The descents are Levenberg-Marquardt with Broyden updates, for candidates that are expensive to evaluate. They are
+hand-written because the searches interleave many descents and pause each with its Jacobian, which scipy cannot.
+
 Lengths interfere: a coating thicker by half a wavelength has nearly the same spectrum, and no descent crosses the ridge
 between. Hence the merit is scanned along each length at a good minimum, and new descents begin at the other minima of
 the scan. Minima with equal residuals count once, wherever they are: parameters without effect may have any value.

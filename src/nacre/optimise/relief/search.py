@@ -3,6 +3,11 @@
 Bounded L-BFGS-B on the feature heights (physics/relief.md, "Design"). The budget is a fixed stage list with a
 fixed iteration count each; a seed gives the same design on any machine; a time limit only cuts the list
 short. Starts run in parallel threads and do not share state, so the thread count does not change the result.
+
+Vector refinement improves the heights of a finished design by Maxwell's equations. The picture is the orders of the
+tile, each as wide as the coherence window makes it: f(psi) = sum over orders E G(psi - lambda g), with the efficiency E
+for unpolarised light and a Gaussian G of unit integral. Equal heights move together, by a pattern search with falling
+steps, since a gradient costs as much as one evaluation for each height.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Relief target file: target pictures, process and search budget.
 
-The keys are public: add keys, do not rename them.
+The keys are public: add keys, do not rename them. Target pictures are display-referred over slice directions, which are
+half-vector sums (u, v) = (w_i + w_o)_xy; u runs along array axis 0. Shapes and default widths are the published ones.
 """
 
 from __future__ import annotations
