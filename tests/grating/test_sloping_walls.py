@@ -104,6 +104,18 @@ def test_solvers_that_disagree_at_a_sharp_corner_state_their_difference() -> Non
     assert found.error == pytest.approx(apart)
 
 
+@pytest.mark.full
+def test_a_small_error_at_a_sharp_metal_corner_is_checked() -> None:
+    made = {"family": "grating", "substrate": "Au", "lattice": {"period_nm": 380},
+            "profile": {"shape": "triangle", "depth_nm": 280, "apex": 0.95}}  # fmt: skip
+    stack = nacre.load(made).model.stacks(np.array([560.0]))[0]
+    case = 560.0, 0.5, 0.6
+    with single_threaded_blas():
+        found = solve(stack, *case, is_strict=False)
+        other = _finest("elements", stack, case, 1e-9, 3)
+    assert difference(found, other) <= found.error + other.error
+
+
 @pytest.mark.parametrize("phi_deg", [0.0, 35.0])
 def test_elements_agree_with_coordinates_on_a_profile(phi_deg: float) -> None:
     made = {"family": "grating", "substrate": "Ag", "lattice": {"period_nm": 900},

@@ -24,7 +24,8 @@ SAFETY = {"lines": 0.5, "profile": 0.5, "elements": 0.7, "rectangles": 1.5, "fou
 TOLERANCE = {"lines": 2e-4, "profile": 5e-5, "elements": 2e-4, "rectangles": 3e-3, "fourier": 4e-3, "ovals": 4e-3}
 LEAST_ERROR = {"lines": 1e-5, "profile": 2e-6, "elements": 1e-5, "rectangles": 2e-4, "fourier": 2e-4, "ovals": 1e-3}
 LARGEST_ERROR = 2e-2  # where no tolerance is asked for, a larger error is refused; a smaller one is stated
-SINGULAR = 1.5e-3  # error of profiles with corners above which elements are tried, in some ten seconds
+SINGULAR = 1.5e-3  # error at corners above which all sizes of elements are tried, in some ten seconds
+CHECKS = 3  # sizes of elements that check a smaller error at corners made from metal
 MAX_WALLS = 6  # along one axis: elements between more of them are too many
 SLICES = {"lines": (12, 24), "fourier": (12,)}  # of sloping walls, beyond those at first
 SLICES_RATE = 1.5  # observed: the error of steps falls as count^-2 in s, as count^-1 to count^-1.5 in p
@@ -139,9 +140,10 @@ def solve(
         return _solve_slices(stack, wavelength_nm, theta_rad, phi_rad, tolerance, is_strict)
     bound = tolerance or TOLERANCE[method]
     best = _finest(method, stack, case, bound)
-    if method == "profile" and best.error > max(bound, SINGULAR if stack.profile and stack.profile.corners else 0.0):
+    if method == "profile" and best.error > max(bound, _unchecked(stack)):
+        is_check = stack.profile is not None and bool(stack.profile.corners) and best.error <= SINGULAR
         try:
-            other = _finest("elements", stack, case, bound)
+            other = _finest("elements", stack, case, bound, CHECKS if is_check else None)
         except NotConvergedError:
             other = best
         apart, stated = difference(best, other), best.error + other.error
@@ -149,6 +151,13 @@ def solve(
         if apart > stated:  # at sharp corners of metal both errors can be too small
             best = replace(best, error=apart)
     return _checked(best, wavelength_nm, tolerance, is_strict)
+
+
+def _unchecked(stack: PeriodicStack) -> float:
+    """Return the error up to which elements do not check a profile: 0 but for clear corners."""
+    metals = [complex(epsilon).real for epsilon in (stack.substrate**2, *(layer.epsilon for layer in stack.layers))]
+    has_corners = stack.profile is not None and bool(stack.profile.corners)
+    return SINGULAR if has_corners and min(metals) >= 0.0 else 0.0
 
 
 def _checked(best: OrderSolution, wavelength_nm: float, tolerance: float | None, is_strict: bool) -> OrderSolution:
@@ -162,15 +171,17 @@ def _checked(best: OrderSolution, wavelength_nm: float, tolerance: float | None,
     return best
 
 
-def _finest(method: str, stack: PeriodicStack, case: tuple[float, float, float], bound: float) -> OrderSolution:
-    """Return the solution whose estimated error is the smallest, or the first within `bound`."""
+def _finest(
+    method: str, stack: PeriodicStack, case: tuple[float, float, float], bound: float, count: int | None = None
+) -> OrderSolution:
+    """Return the solution whose estimated error is the smallest, or the first within `bound`, from `count` sizes."""
     run, sizes = RUNS[method]
     wavelength_nm, theta_rad, phi_rad = case
     k0 = 2.0 * np.pi / wavelength_nm
     previous: OrderSolution | None = None
     best: OrderSolution | None = None
     last: Any = 0
-    for size in sizes:
+    for size in sizes[:count]:
         try:
             found = run(stack, k0, theta_rad, phi_rad, size)
         except NotConvergedError:
