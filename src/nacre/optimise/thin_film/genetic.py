@@ -256,7 +256,7 @@ def _mutate(
     return layers, substrate
 
 
-@compiled(error_model="numpy")
+@compiled(error_model="numpy", inline="always")
 def _inherit(space: Any, population: Any, size: int, media: Any, d: Any) -> tuple[int, int, bool]:
     """Fill a mutated copy of a parent; return layers, substrate, and whether only its thicknesses are shifted."""
     share = np.random.random()
@@ -311,7 +311,7 @@ class Scratch(NamedTuple):
     d: Array
 
 
-@compiled(error_model="numpy", nogil=True)
+@compiled(error_model="numpy", nogil=True, inline="always")
 def _individual(
     tables: Any, merit: Any, space: Any, population: Any, size: int, fresh_share: float, target: float, s: Any,
     media: Any, d: Any, work: Any,
