@@ -191,6 +191,22 @@ def test_the_exchange_of_x_and_y_takes_one_class(shape: str, monkeypatch: pytest
     assert np.all(both.reflected.direction[:, 2] > 0.0) and np.all(both.transmitted.direction[:, 2] < 0.0)
 
 
+@pytest.mark.parametrize("far", [700.0, 900.0])
+def test_symmetry_is_that_of_the_whole_cell(far: float) -> None:
+    """One corner of a square that moves far from the centre takes all mirror images away."""
+    points = [[-700, -700], [700, -700], [700, 500], [far, 500], [far, 700], [-700, 700]]
+    shape = {"shape": "polygon", "material": {"n": 2.0}, "points_nm": points}
+    recipe = {
+        "family": "grating", "substrate": {"n": 1.5}, "lattice": {"period_nm": 2000.0, "kind": "square"},
+        "layers": [{"thickness_nm": 100.0, "material": "air", "shapes": [shape]}],
+    }  # fmt: skip
+    stack = nacre.load(recipe).model.stacks(np.array([550.0]))[0]
+    images = order_tables._images(stack)
+    assert images == ([(-1, 1), (1, -1), (-1, -1)] if far == 700.0 else [])
+    # reciprocity holds for any structure; the exchange of x and y only for the square
+    assert len(order_tables._symmetries(stack, images)) - len(images) == (2 if far == 700.0 else 1)
+
+
 def test_a_rectangle_that_differs_along_x_and_y_takes_two_classes() -> None:
     stacks = [
         stack_of({"shape": "rectangle", "material": "Si"} | size, 650.0, {"n": 1.5}, {"period_nm": 300})

@@ -18,7 +18,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from nacre.core.arrays import gauss_legendre
-from nacre.matter.periodic.structure import Cell
+from nacre.matter.periodic.structure import Cell, reflection
 from nacre.matter.periodic.types import Array
 
 WIDE = 0.9  # walls nearer to the sides of an oblique cell, relative to its centre, need the hexagon
@@ -48,14 +48,8 @@ class Oval:
         return np.asarray(self.a * self.b / np.hypot(self.b * np.cos(own), self.a * np.sin(own)))
 
 
-def _vectors(cell: Cell) -> tuple[Array, Array]:
-    assert cell.period_y is not None
-    second = cell.period_y * np.array([np.cos(cell.angle_rad), np.sin(cell.angle_rad)])
-    return np.array([cell.period_x, 0.0]), second
-
-
 def _parallelogram(cell: Cell) -> Array:
-    first, second = _vectors(cell)
+    first, second = cell.vectors
     return np.array([0.5 * (s * first + t * second) for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
 
 
@@ -64,7 +58,7 @@ def cell_corners(cell: Cell, walls: tuple[Oval, ...]) -> Array:
     corners, angles = _parallelogram(cell), np.linspace(-np.pi, np.pi, 181)
     if cell.is_rectangular or np.all(walls[-1].radius(angles) < WIDE * _distance(corners, angles)):
         return corners
-    return _hexagon(*_vectors(cell))
+    return _hexagon(*cell.vectors)
 
 
 def _hexagon(first: Array, second: Array) -> Array:
@@ -97,7 +91,7 @@ def _distance(corners: Array, angles: Array) -> Array:
 
 def side_distance(cell: Cell, angles: Array) -> Array:
     """Return the distance from a mesh's centre to the outermost sides that it can have."""
-    return _distance(_parallelogram(cell) if cell.is_rectangular else _hexagon(*_vectors(cell)), angles)
+    return _distance(_parallelogram(cell) if cell.is_rectangular else _hexagon(*cell.vectors), angles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,8 +300,7 @@ def _mirrored(
     blocks: tuple[Block, ...], axis_rad: float
 ) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix] | None:
     """Return the reflection of all local edge and continuous functions; None: the blocks are not symmetric."""
-    c, s = np.cos(2.0 * axis_rad), np.sin(2.0 * axis_rad)
-    turn = np.array([[c, s], [s, -c]])
+    turn = reflection(axis_rad)
     every = np.array([block.corners for block in blocks])
     size = np.abs(every).max()
     parts: list[list[list[Array | None]]] = [[[None] * len(blocks) for _ in blocks] for _ in range(2)]
@@ -444,7 +437,7 @@ class _Numbers:
     """
 
     def __init__(self, cell: Cell) -> None:
-        self.lattice = np.array(_vectors(cell))
+        self.lattice = cell.vectors
         self.inverse = np.linalg.inv(self.lattice)
         self.seen: list[tuple[Array, Array]] = []
         self.starts: dict[object, int] = {}

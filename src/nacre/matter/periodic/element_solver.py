@@ -38,6 +38,7 @@ from nacre.matter.periodic.structure import (
     check_unknowns,
     incident_wave,
     propagating,
+    reflection,
 )
 from nacre.matter.periodic.types import Array
 
@@ -253,8 +254,7 @@ def _image_counts(vectors: Array, mirrors: Mirrors) -> Array:
     """Return how many different mirror images each vector `[order, 2]` has, itself included."""
     images = [vectors]
     for axis, _ in mirrors:
-        c, s = np.cos(2.0 * axis), np.sin(2.0 * axis)
-        images += [image @ np.array([[c, s], [s, -c]]) for image in images]
+        images += [image @ reflection(axis) for image in images]
     size = np.hypot(*vectors.T).max() + NORMAL
     same = [np.abs(image - vectors).max(axis=1) < 1e-9 * size for image in images]
     return np.asarray(len(images) / np.sum(same, axis=0))

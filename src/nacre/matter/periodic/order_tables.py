@@ -33,8 +33,18 @@ from nacre.matter.periodic.order_responses import (
 )
 from nacre.matter.periodic.orders import DESCRIPTION, cached_solution, case_key, packed_solutions, unpacked_solutions
 from nacre.matter.periodic.solve import difference, method_of, size_count, solve_many
-from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle, Region, propagating
+from nacre.matter.periodic.structure import (
+    Cell,
+    OrderSolution,
+    PeriodicStack,
+    Rectangle,
+    Region,
+    Shape,
+    propagating,
+    reflection,
+)
 
+SYMMETRY_POINTS = 1000  # at which the distance to a shape is compared with that of its image
 MAX_THETA = float(np.radians(89.5))  # light beyond is taken as here
 FITTED, PROFILE = (91, (1152, 576, 288, 144, 72)), (16, 48)  # nodes from 0 to 90 degrees, and of a whole turn
 MOST_NUMBERS, MOST_WORK = 2.4e7, 2e10  # of the tables, and of the linear systems of all directions, their sizes cubed
@@ -384,7 +394,7 @@ def _images(stack: PeriodicStack) -> list[tuple[int, int]]:
     if all(isinstance(s, Rectangle) for s in shapes):
         even_x, even_y, _ = box_symmetries(stack)
     else:
-        even_x, even_y = (all(_is_even(s, axis) for s in shapes) for axis in (0, 1))
+        even_x, even_y = (all(_is_even(s, stack.cell, axis) for s in shapes) for axis in (0, 1))
     found = [(-1, 1)] if even_x else []
     found += [(1, -1)] if even_y else []
     return [*found, (-1, -1)] if even_x and even_y else found
@@ -400,28 +410,27 @@ def _symmetries(stack: PeriodicStack, images: list[tuple[int, int]]) -> list[Sym
     if cell.period_y is None:
         return found
     found.append((-np.eye(2), True))
-    c, s = np.cos(cell.angle_rad), np.sin(cell.angle_rad)
-    turn = np.array([[c, s], [s, -c]])  # exchanges the lattice vectors, if these are of one length
+    turn = reflection(0.5 * cell.angle_rad)  # exchanges the lattice vectors, if these are of one length
     if cell.period_x != cell.period_y:
         return found
     if all(isinstance(shape, Rectangle) for shape in shapes):
         is_alike = cell.is_rectangular and box_symmetries(stack)[2]
     else:
-        at = np.random.default_rng(0).uniform(-300.0, 300.0, (2, 200))
-        is_alike = all(
-            isinstance(s, Region) and np.allclose(s.distance(*at), s.distance(*(turn @ at)), atol=1e-6) for s in shapes
-        )
+        is_alike = all(isinstance(shape, Region) and _is_symmetric(shape, cell, turn) for shape in shapes)
     return [*found, (turn, False)] if is_alike else found
 
 
-def _is_even(shape: object, axis: int) -> bool:
+def _is_even(shape: Shape, cell: Cell, axis: int) -> bool:
     if isinstance(shape, Rectangle):
         sides = (shape.x_0 + shape.x_1) if axis == 0 else (shape.y_0 + shape.y_1)
         return bool(np.isnan(sides) or abs(sides) < 1e-9)
-    x, y = np.random.default_rng(0).uniform(-300.0, 300.0, (2, 200))
-    mirrored = (-x, y) if axis == 0 else (x, -y)
-    distance = shape.distance  # type: ignore[attr-defined]  # a region
-    return bool(np.allclose(distance(x, y), distance(*mirrored), atol=1e-6))
+    return _is_symmetric(shape, cell, reflection(0.5 * np.pi * (1 - axis)))
+
+
+def _is_symmetric(region: Region, cell: Cell, turn: Array) -> bool:
+    """Whether a shape equals its image under `turn` `[2, 2]`, by its distances at random points of the cell."""
+    at = cell.vectors.T @ np.random.default_rng(0).uniform(-0.5, 0.5, (2, SYMMETRY_POINTS))
+    return bool(np.allclose(region.distance(*at), region.distance(*(turn @ at)), atol=1e-6))
 
 
 def _mirrored(azimuth: int, count: int, signs: tuple[int, int]) -> int:

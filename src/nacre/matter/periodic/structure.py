@@ -31,6 +31,13 @@ class Cell:
         """Whether the vectors are at right angles."""
         return self.period_y is not None and abs(self.angle_rad - 0.5 * np.pi) < 1e-12
 
+    @property
+    def vectors(self) -> Array:
+        """The lattice vectors of two periods, `[2, 2]`, a row each."""
+        assert self.period_y is not None
+        second = self.period_y * np.array([np.cos(self.angle_rad), np.sin(self.angle_rad)])
+        return np.array([[self.period_x, 0.0], second])
+
     def wave_vectors(self, orders: Array) -> Array:
         """Return 2 pi (m b_1 + n b_2), `[..., 2]` in 1/nm, of orders `[..., 2]`."""
         m, n = orders[..., 0], orders[..., 1]
@@ -39,6 +46,12 @@ class Cell:
             return 2.0 * np.pi * np.stack([x, 0.0 * x], axis=-1)
         y = (n / self.period_y - m * np.cos(self.angle_rad) / self.period_x) / np.sin(self.angle_rad)
         return 2.0 * np.pi * np.stack([x, y], axis=-1)
+
+
+def reflection(axis_rad: float) -> Array:
+    """Return the reflection `[2, 2]` on the line through the origin at an angle to x."""
+    c, s = np.cos(2.0 * axis_rad), np.sin(2.0 * axis_rad)
+    return np.array([[c, s], [s, -c]])
 
 
 @dataclass(frozen=True)
