@@ -26,7 +26,7 @@ FULL_FRAMES, QUICK_FRAMES = 24, 8
 # samples per pixel, sufficient for the denoiser; fixed, so that pictures are equal on all machines
 FULL_SPP, QUICK_SPP = 12, 24
 FULL_FRAME_SPP, QUICK_FRAME_SPP = 6, 12
-WALKED_SPP = 3  # times as many for a pearl by random walks, which is noisier than its tables
+RANDOM_WALK_SPP = 3  # times as many for a pearl by random walks, which is noisier than its tables
 # seconds of a still, a frame, and twelve further samples on two cores, for the remaining time
 STILL_S = {False: 10.0, True: 3.0}
 FRAME_S = {False: 3.0, True: 0.4}
@@ -186,14 +186,14 @@ def run_demo(out: Path, is_quick: bool, report: Report) -> list[Path]:
 def _picture(folder: Path, out: Path, spec: PictureSpec, is_quick: bool) -> Item:
     side = QUICK_SIZE if is_quick else FULL_SIZE
     # the tables of a pearl take longer than a small picture by random walks
-    is_walked = is_quick and spec.quality == "fast"
-    samples = spec.spp * (WALKED_SPP if is_walked else 1)
+    is_random_walk = is_quick and spec.quality == "fast"
+    samples = spec.spp * (RANDOM_WALK_SPP if is_random_walk else 1)
     spp = max(4, round((QUICK_SPP if is_quick else FULL_SPP) * samples))
     seconds = STILL_S[is_quick] + SAMPLES_S[is_quick] * samples
     path = out / f"{spec.name or Path(spec.recipe).stem}.png"
 
     def make() -> None:
-        bsdf = _solved(folder, out, spec.recipe, "reference" if is_walked else spec.quality)
+        bsdf = _solved(folder, out, spec.recipe, "reference" if is_random_walk else spec.quality)
         look = {**_look(spec), "view_turn_deg": spec.view_turn_deg, "light_turn_deg": spec.light_turn_deg}
         _rendered(bsdf, output=path, size=_size(side, spec.ratio), spp=spp, progress=False, **look)
 

@@ -134,8 +134,8 @@ def use_gather_instructions() -> None:
     """Let LLVM compile a gather to one instruction, on processors with AVX2; call after drjit is imported.
 
     For AMD processors without AVX-512, LLVM splits each gather into eight conditional loads. The kernel of a relief has
-    hundreds of gathers and compiles 15 times faster without this; values are equal. drjit has a function for it only in
-    C++; where that is missing, kernels stay as they are.
+    hundreds of gathers and compiles 15 times faster if they are not split. Values change by rounding only. drjit has a
+    function for it only in C++; where that is missing, kernels stay as they are.
     """
     if sys.platform != "linux" or platform.machine() != "x86_64":
         return

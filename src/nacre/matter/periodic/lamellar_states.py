@@ -1,7 +1,7 @@
 """Even and odd states for layers with lines, many cases at once, in the functions that `lamellar_solver` uses.
 
 With A = P Q, both states follow from T = tan(h sqrt A) / sqrt A (see `slab`). The tangent is a sum over poles, and each
-pole asks for an inverse (s - h^2 A)^-1. Functions that vanish at the walls couple only through the values at the walls,
+pole needs an inverse (s - h^2 A)^-1. Functions that vanish at the walls couple only through the values at the walls,
 so that this inverse is a diagonal plus a narrow product, and T takes less time than by its continued fraction. This
 holds for clear and absorbing dielectrics; layers with metal take the fraction.
 """
@@ -90,8 +90,8 @@ def tangent_poles(exact: int, octaves: int) -> tuple[Array, Array]:
 
     Beyond the `exact` lowest poles, their distance grows and least squares give the residues.
     """
-    wanted = max(2.0 * 2.0**octaves / np.pi, 3.0 * exact)
-    count = int(np.ceil(np.log1p((wanted - exact) * (GROWTH - 1.0)) / np.log(GROWTH)))
+    furthest = max(2.0 * 2.0**octaves / np.pi, 3.0 * exact)
+    count = int(np.ceil(np.log1p((furthest - exact) * (GROWTH - 1.0)) / np.log(GROWTH)))
     further = np.cumsum(np.append(exact + 0.5, GROWTH ** np.arange(1, count + 1)))
     poles = (np.pi * further) ** 2
     y, x = np.geomspace(0.1, 2.0**octaves, 50 * octaves), np.pi * np.linspace(0.0, exact - 2.0, 60)[1:]
@@ -210,7 +210,7 @@ def _from_poles(space: Space, values: Array, half: Array, k_y: Array, _: Array) 
 
 @lru_cache(maxsize=64)
 def _elements(mesh: LineMesh) -> tuple[Array, Array, Array, Array, Array, Array, float]:
-    """Return sizes, and what `_from_poles` asks about functions that vanish at the walls.
+    """Return sizes, and the properties of functions that vanish at the walls.
 
     Returns:
         sizes; the functions' elements; each row's group in `_summed`; masses; integrals with both linear functions

@@ -154,10 +154,10 @@ def solve(
 
 
 def _unchecked(stack: PeriodicStack) -> float:
-    """Return the error up to which elements do not check a profile: 0 but for clear corners."""
-    metals = [complex(epsilon).real for epsilon in (stack.substrate**2, *(layer.epsilon for layer in stack.layers))]
+    """Return the error up to which elements do not check a profile: 0 but for corners of dielectrics."""
+    real_parts = [complex(value).real for value in (stack.substrate**2, *(layer.epsilon for layer in stack.layers))]
     has_corners = stack.profile is not None and bool(stack.profile.corners)
-    return SINGULAR if has_corners and min(metals) >= 0.0 else 0.0
+    return SINGULAR if has_corners and min(real_parts) >= 0.0 else 0.0
 
 
 def _checked(best: OrderSolution, wavelength_nm: float, tolerance: float | None, is_strict: bool) -> OrderSolution:
