@@ -8,6 +8,7 @@ The rest serves threads: their number, parallel loops, and the BLAS thread limit
 import contextlib
 import os
 import re
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -196,7 +197,7 @@ def parallel_for(
 
 
 _blas_lock = threading.Lock()
-_blas: dict[str, Any] = {"users": 0, "limit": None}
+_blas: dict[str, Any] = {"users": 0, "limit": None, "modules": 0, "libraries": None}
 
 
 @contextlib.contextmanager
@@ -204,13 +205,16 @@ def single_threaded_blas() -> Iterator[None]:
     """Limit BLAS to one thread, for parallel threads or small products.
 
     OpenBLAS threads wait by spinning: small products from two threads cost three times their work. The limit is
-    process-wide; the first user sets it and the last one lifts it.
+    process-wide; the first user sets it and the last one lifts it. Only a newly imported module brings a new library:
+    a search through all loaded ones takes 10 ms.
     """
-    from threadpoolctl import threadpool_limits
+    from threadpoolctl import ThreadpoolController
 
     with _blas_lock:
         if _blas["users"] == 0:
-            _blas["limit"] = threadpool_limits(limits=1, user_api="blas")
+            if _blas["modules"] != len(sys.modules):
+                _blas["libraries"], _blas["modules"] = ThreadpoolController(), len(sys.modules)
+            _blas["limit"] = _blas["libraries"].limit(limits=1, user_api="blas")
         _blas["users"] += 1
     try:
         yield
