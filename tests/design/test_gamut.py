@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,13 @@ def test_share_within_is_one_for_the_solid_itself() -> None:
     solid = srgb_colours("D65", "10deg")
     assert share_within(solid, solid, 0.01) == 1.0
     assert share_within(np.array([[50.0, 300.0, 0.0]]), solid, 2.0) == 0.0
+
+
+def test_a_slow_machine_computes_every_point_unless_the_time_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = itertools.count(step=100.0)
+    monkeypatch.setattr("nacre.optimise.gamut.time.monotonic", lambda: next(clock))
+    assert len(nacre.gamut(nacre.material(OXIDE), FREE, points=12).lab) == 12
+    assert len(nacre.gamut(nacre.material(OXIDE), FREE, points=12, seconds=60.0).lab) == 8
 
 
 def test_more_parameters_enlarge_the_gamut() -> None:

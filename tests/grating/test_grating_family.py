@@ -233,11 +233,28 @@ def test_a_table_of_heights_spans_the_period(tmp_path: Path, span: float, is_all
 
 
 def test_tables_of_directions_state_that_they_miss_narrow_orders() -> None:
-    from nacre.formats.bsdf_tables import lost_parts
+    from nacre.formats.bsdf_tables import lost_parts, unresolved_lost
 
     found = nacre.material(compact_disc()).bsdf(np.array([550.0]))
     flat = nacre.material({"family": "film", "substrate": "Al"}).bsdf(np.array([550.0]))
-    assert len(lost_parts(found)) == len(lost_parts(flat)) + 1
+    for lost in (lost_parts, unresolved_lost):
+        assert len(lost(found)) == len(lost(flat)) + 1
+
+
+def test_colour_tables_refuse_orders_before_any_is_solved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def solved(*_: object) -> None:
+        raise AssertionError("orders were solved")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("nacre.families.grating.material.order_tables", solved)
+        disc = nacre.material(compact_disc())
+        for to in ("lut", "three"):
+            with pytest.raises(UnsupportedError):
+                nacre.export(disc, to, tmp_path / to)
+    assert not list(tmp_path.iterdir())
+    lines = {"thickness_nm": 100, "material": "air", "shapes": [LINES | {"material": "Al", "width_nm": 60}]}
+    fine = nacre.material(compact_disc(layers=[lines], lattice={"period_nm": 150}))
+    assert not fine.model.scatters_orders(np.array([400.0])) and fine.model.scatters_orders(np.array([290.0]))
 
 
 def test_disorder_moves_light_from_orders_to_a_diffuse_part() -> None:

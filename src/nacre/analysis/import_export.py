@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nacre._version import __version__
-from nacre.analysis.lut import STEEPEST, ClosureLoss, azimuths, make_table, over_uv
+from nacre.analysis.lut import STEEPEST, ClosureLoss, azimuths, make_table, over_uv, refuse_orders
 from nacre.bsdf import Bsdf
 from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.texture import Texture, refuse_place
@@ -20,13 +20,13 @@ from nacre.core.files import atomic_path, check_writable, plain, why_unreadable,
 from nacre.families.contract import Masked, OwnFormats
 from nacre.formats.bsdf_tables import (
     FOLDERS,
-    delta_lost,
     gonio_grid,
     is_isotropic,
     lost_parts,
     merl_lobe,
     merl_table,
     read_merl_filled,
+    unresolved_lost,
     write_merl,
 )
 from nacre.formats.foreign_materials import ThicknessMap, read_gltf, read_materialx
@@ -133,7 +133,7 @@ def export_material(
         facts["lost"] = lost_parts(bsdf)
     elif target == "csv":
         write_gonio_csv(path, gonio_grid(bsdf, angle_step_deg), comment)
-        facts["lost"] = delta_lost(bsdf)
+        facts["lost"] = unresolved_lost(bsdf)
     elif target in ("astm", "brdf-json", "speos"):
         facts["lost"] = _export_measured(bsdf, target, path, angle_step_deg, material.name, comment)
     elif target == "exr":
@@ -160,7 +160,7 @@ def _export_measured(bsdf: Bsdf, target: str, path: Path, step_deg: float, name:
     """Write a direction grid in a format of measurements and return the lost properties."""
     from nacre.formats.measured_lobes import write_astm, write_brdf_json, write_speos
 
-    lost, data = delta_lost(bsdf), gonio_grid(bsdf, step_deg)
+    lost, data = unresolved_lost(bsdf), gonio_grid(bsdf, step_deg)
     if target == "speos":
         is_first = data.angles_deg[:, 1] == data.angles_deg[0, 1]
         if not np.all(is_first):
@@ -491,7 +491,13 @@ def export_three(material: Material, folder: Path, illuminant: str, progress: Ca
         return {"illuminant": part.table.illuminant, "lost": lost, "files": files, "errors_dE00": _errors(part)}
     parts: list[ThreePart] = []
     lost = []
-    for name, one in (("first", material.model.first), ("second", material.model.second)):
+    both = ("first", material.model.first), ("second", material.model.second)
+    for name, one in both:
+        try:
+            refuse_orders(one)
+        except UnsupportedError as error:
+            raise UnsupportedError(f"the part {name} of the blend: {error}; export the other part alone") from None
+    for name, one in both:
         try:
             made, missing = _part(one, illuminant, _named(progress, name))
         except UnsupportedError as error:

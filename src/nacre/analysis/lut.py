@@ -23,6 +23,7 @@ from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import ParameterAxis, Texture, refuse_place
 from nacre.core.arrays import Array, direction, take_at
 from nacre.core.errors import NacreError, UnsupportedError
+from nacre.families.contract import Diffracting
 from nacre.formats.bsdf_tables import is_isotropic
 from nacre.formats.lut import (
     Closure,
@@ -52,6 +53,10 @@ AZIMUTHS = 6  # over a quarter turn, for anisotropic facets
 STEEPEST = np.radians(89.5)  # below grazing incidence
 LEAST_PASSED = 1e-3  # mean transmittance below which the light inside a body is taken as white
 LEAST_SEEN = 1e-4  # visible share of facets below which the colour of the previous angle is used
+BY_AZIMUTH = (
+    "scatters light by the direction about the normal, as gratings and reliefs do; a table of half and difference "
+    "angle cannot hold that (--to rgl or exr can)"
+)
 ToRgb = Callable[[Array], Array]
 
 
@@ -437,6 +442,7 @@ def make_table(material: Material, lamp: str = "D65", progress: Progress = lambd
     source = material.context.source
     refuse_place(material.model, f"{source}: export")
     light = illuminant(lamp)
+    refuse_orders(material)
     progress("solving the material")
     try:
         _refuse_early(material)
@@ -494,6 +500,17 @@ def _without_azimuth(bsdf: Bsdf) -> Bsdf:
     return dataclasses.replace(bsdf, lobes=tuple(means))
 
 
+def refuse_orders(material: Material) -> None:
+    """Check that a grating sends light to the mirror direction alone.
+
+    Raises:
+        UnsupportedError: it sends orders to others.
+    """
+    model = material.model
+    if isinstance(model, Diffracting) and model.scatters_orders(model.wavelengths_nm):
+        raise UnsupportedError(f"{material.context.source}: {BY_AZIMUTH}")
+
+
 def _refuse_early(material: Material) -> None:
     """Check the lobes at one wavelength, before the material is solved at all of them.
 
@@ -532,10 +549,7 @@ def _refuse(bsdf: Bsdf) -> None:
             raise UnsupportedError(f"surface.{what} varies over the surface, which a table does not hold; --set it")
     steady = tuple(lobe for lobe in scattering if not lobe.is_stochastic and not lobe.is_delta)
     if steady and not is_isotropic(Bsdf(steady)):
-        raise UnsupportedError(
-            "scatters light by the direction about the normal, as grooves and reliefs do; a table of half and "
-            "difference angle cannot hold that (--to rgl or exr can)"
-        )
+        raise UnsupportedError(BY_AZIMUTH)
 
 
 def _walk_mirror(bsdf: Bsdf) -> Array | None:

@@ -23,18 +23,6 @@ if TYPE_CHECKING:
     from nacre.measure.texture import Texture, TextureQuantity
 
 
-def _progress_bar(description: str) -> Any:
-    """Return a progress bar on stderr, which is disabled if stderr is not a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    return Progress(
-        TextColumn(description), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        TextColumn("{task.fields[info]}"), console=console, disable=not console.is_terminal,
-    )  # fmt: skip
-
-
 @click.command()
 @click.argument("sweep_file", metavar="SWEEP.toml")
 @click.option("-o", "output", default=None, metavar="FOLDER.zarr", help="Default: SWEEP.zarr.")
@@ -48,7 +36,7 @@ def sweep(sweep_file: str, output: str | None, workers: Workers) -> None:
 
     plan = load_sweep(sweep_file)
     path = Path(output) if output else Path(f"{Path(sweep_file).stem}.zarr")
-    with _progress_bar("sweep") as bar:
+    with common.progress_bar("sweep") as bar:
         task = bar.add_task("sweep", total=plan.points.count, info="")
 
         def show(done: int, failed: int, total: int) -> None:
@@ -125,7 +113,7 @@ def report(
     materials = [common.load_material(recipe, changes) for recipe in recipes]
     reports = []
     textures = [add_texture(material) for material in materials]  # refuses a material without flakes early
-    with _progress_bar("report") as bar:
+    with common.progress_bar("report") as bar:
         # the bar appears only for families that report their wavelengths
         for number, material in enumerate(materials, start=1):
             task = bar.add_task("report", total=None, visible=False, info=f"{number} of {len(materials)}")
@@ -270,7 +258,7 @@ def tolerance(
     texture = _texture_limits(more["quantities"], more["instrument"], illuminant)
     material = common.load_material(recipe, changes)
     found = recipe_tolerances(material, tolerances)
-    with _progress_bar("tolerance") as bar:
+    with common.progress_bar("tolerance") as bar:
         task = bar.add_task("tolerance", total=draws, info="")
         result = run_tolerance(
             material, found, draws=draws, limit=limit, seed=seed, illuminant=illuminant, samples=samples,

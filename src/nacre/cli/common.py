@@ -220,6 +220,18 @@ def parse_change(text: str) -> tuple[str, Any]:
     return path.strip(), parse_toml(f"value = {value}", f"--set {path.strip()}")["value"]
 
 
+def progress_bar(description: str) -> Any:
+    """Return a progress bar on stderr, which is disabled if stderr is not a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    return Progress(
+        TextColumn(description), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        TextColumn("{task.fields[info]}"), console=console, disable=not console.is_terminal,
+    )  # fmt: skip
+
+
 def note(message: str) -> None:
     """Print a message on stderr; stdout is reserved for results."""
     say(message)

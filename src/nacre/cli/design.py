@@ -190,9 +190,8 @@ class _Screen:
 @click.option(
     "--seconds",
     type=click.FloatRange(1.0),
-    default=60.0,
-    show_default=True,
-    help="Time limit of the search.",
+    default=None,
+    help="Time limit of the search, with the points found so far. Default: unlimited.",
 )
 @click.option(
     "--tolerance", type=float, default=2.0, show_default=True, help="dE00 up to which a colour counts as reached."
@@ -217,7 +216,12 @@ def gamut(
     if path is not None:
         check_output(path, ".png", ".pdf", ".svg", ".json", ".html")
     material = common.load_material(recipe, changes)
-    found = find_gamut(material, parameters, geometry, **search)
+    with common.progress_bar("gamut") as bar:
+        task = bar.add_task("gamut", total=search["points"], info="")
+        found = find_gamut(
+            material, parameters, geometry, **search,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )  # fmt: skip
     if path is not None:
         if path.suffix == ".json":
             write_text(path, json.dumps(found.document(), indent=1) + "\n")

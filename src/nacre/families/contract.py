@@ -360,6 +360,10 @@ class Diffracting(Polarised):
         """Whether transmitted orders are part of the spectra."""
         return False
 
+    def scatters_orders(self, wavelengths_nm: Array) -> bool:
+        """Whether orders beside the mirror propagate at some direction of the light."""
+        return True
+
     @property
     def mixes_polarisations(self) -> bool:
         """Whether s light may be reflected as p light: the mirror of a grating, in conical incidence."""

@@ -237,8 +237,7 @@ MAX_COMPARED = 20_000
 
 
 def lost_parts(bsdf: Bsdf) -> list[str]:
-    lost = delta_lost(bsdf) + (["transmission and the lower side"] if bsdf.transmits else [])
-    return lost + narrow_lost(bsdf)
+    return unresolved_lost(bsdf) + (["transmission and the lower side"] if bsdf.transmits else [])
 
 
 def narrow_lost(bsdf: Bsdf) -> list[str]:
@@ -247,10 +246,10 @@ def narrow_lost(bsdf: Bsdf) -> list[str]:
     return [f"orders {min(widths):.2g} degrees wide between the directions of the file's grid"] if widths else []
 
 
-def delta_lost(bsdf: Bsdf) -> list[str]:
+def unresolved_lost(bsdf: Bsdf) -> list[str]:
     delta = bsdf.specular(np.radians([0.0, 45.0, 80.0]))
     has = max(float(delta.reflectance.max()), float(delta.transmittance.max())) > 1e-6
-    return ["the mirror-like (delta) part"] if has else []
+    return (["the mirror-like (delta) part"] if has else []) + narrow_lost(bsdf)
 
 
 def gonio_grid(bsdf: Bsdf, step_deg: float) -> GonioData:

@@ -144,7 +144,7 @@ def find_gamut(
     geometry: str | None = None,
     *,
     points: int = 1000,
-    seconds: float = 60.0,
+    seconds: float | None = None,
     illuminant: str = "D65",
     observer: str = "10deg",
     tolerance: float = 2.0,
@@ -163,8 +163,8 @@ def find_gamut(
         geometry: "specular 0", "45as15" and so on, as in a target; None: the family's default geometry (mirror
             direction for a film, 45 degrees for a photonic glass, near the mirror direction for a pearl or a relief),
             or another one that applies.
-        points: material count.
-        seconds: time limit, after which the colours found so far are returned.
+        points: material count. The same count and seed give the same answer.
+        seconds: time limit, after which the colours found so far are returned; default: unlimited.
         illuminant, observer: of the colours.
         tolerance: dE00 within which a colour counts as reached.
         samples, seed: of random walks; the seed also determines the materials.
@@ -248,7 +248,7 @@ def _parameter_gamut(
     parameters: Sequence[Parameter],
     at: Geometry,
     light: Light,
-    draws: tuple[int, float, int],
+    draws: tuple[int, float | None, int],
     tolerance: float = 2.0,
     samples: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -256,7 +256,7 @@ def _parameter_gamut(
     """Draw points evenly, then near the most extreme colours.
 
     Args:
-        draws: point count, time limit in seconds, seed.
+        draws: point count, time limit in seconds if there is one, seed.
 
     Raises:
         NacreError: all points fail.
@@ -283,7 +283,7 @@ def _parameter_gamut(
     factors: list[Array] = []
     labs: list[Array] = []
     failed = done = 0
-    while done < count and (time.monotonic() - start < seconds or done < MIN_POINTS):
+    while done < count and (seconds is None or time.monotonic() - start < seconds or done < MIN_POINTS):
         point = planned[done] if done < len(planned) else _near_extreme(points, np.array(labs), done, generator)
         done += 1
         try:

@@ -33,6 +33,7 @@ from nacre.matter.periodic.structure import (
     Region,
     Shape,
     Wall,
+    propagating,
     sliced,
 )
 
@@ -177,6 +178,17 @@ class Grating(Diffracting, Pixels, Fabricable):
     def transmits_orders(self, wavelengths_nm: Array) -> bool:
         """Whether the substrate is clear."""
         return is_transparent(self.substrate.n_complex(wavelengths_nm))
+
+    def scatters_orders(self, wavelengths_nm: Array) -> bool:
+        """Whether orders beside the mirror propagate at some direction of the light."""
+        if self.profile is None and not any(layer.shapes for layer in self.layers):
+            return False
+        lam = np.asarray(wavelengths_nm, dtype=float)
+        grating = self if self.period is None else replace(self, cell=self._cell_of(self.period.nodes[-1]))
+        return any(
+            len(propagating(stack, 2.0 * np.pi / w, np.zeros(2), stack.cover + stack.reach)[0]) > 1
+            for stack, w in zip(grating.stacks(lam), lam.tolist(), strict=True)
+        )
 
     @property
     def pitch_nm(self) -> tuple[float, float]:
