@@ -165,7 +165,7 @@ def _file_rows(
         return rows
     metadata = {"illuminant": light[0], "observer": light[1]} | above
     columns = {name: lab[:, place] for place, name in enumerate("Lab")}
-    _, lab = _adapted(path, [Measurement(path, "table", "colours", columns, "", metadata)], light)
+    _, lab = _adapted(path, [Measurement(path, "colours", columns, "", metadata)], light)
     return [ColourRow(row.name, part) for row, part in zip(rows, np.split(lab, len(rows)), strict=True)]
 
 
@@ -197,7 +197,7 @@ def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, ligh
     names = [row[name] if name is not None else "" for _, row in lines[1:]]
     data = {"srgb": np.array([srgb_of_hex(path, f"#{each}") for each in digits])}
     metadata = {"names": names}
-    _, lab = _adapted(path, [Measurement(path, "table", "colours", data, "", metadata)], light)
+    _, lab = _adapted(path, [Measurement(path, "colours", data, "", metadata)], light)
     return [ColourRow(one, np.repeat(each[None], targets, axis=0)) for one, each in zip(names, lab, strict=True)]
 
 
@@ -341,7 +341,7 @@ def _measurement(table: TextTable, group: _Group, names: list[str], light: tuple
     if set(group.places) == {"hex"}:
         cells = table.column_text(group.places["hex"])
         data["srgb"] = np.array([srgb_of_hex(table.path, cell) for cell in cells])
-        return Measurement(table.path, "table", "colours", data, "", metadata)
+        return Measurement(table.path, "colours", data, "", metadata)
     columns = {quantity: _column(table, place) for quantity, place in group.places.items() if quantity != "hex"}
     for line, chroma in zip(table.lines, columns.get("C", ()), strict=False):
         if chroma < 0:
@@ -354,7 +354,7 @@ def _measurement(table: TextTable, group: _Group, names: list[str], light: tuple
     if keep == "XYZ" and len(columns["Y"]) and 0.0 < columns["Y"].max() <= MOST_UNIT_Y:
         columns = {quantity: 100.0 * values for quantity, values in columns.items()}
         logger.warning("%s: Y of white = 1, because no Y is above %g", table.path, MOST_UNIT_Y)
-    return Measurement(table.path, "table", "colours", {letter: columns[letter] for letter in keep}, "", metadata)
+    return Measurement(table.path, "colours", {letter: columns[letter] for letter in keep}, "", metadata)
 
 
 def _column(table: TextTable, place: int) -> Array:

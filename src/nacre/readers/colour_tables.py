@@ -145,7 +145,6 @@ def observer_in(text: str) -> str | None:
 
 def colours(
     path: Path,
-    format: str,
     names: Sequence[str],
     data: Mapping[str, ArrayLike],
     *,
@@ -181,7 +180,7 @@ def colours(
     if "srgb" in arrays:
         illuminant, observer = illuminant or "D65", observer or "2deg"
     about |= {key: value for key, value in (("illuminant", illuminant), ("observer", observer)) if value is not None}
-    return Measurement(path, format, "colours", arrays, name, about, tuple(assumed), tuple(left_out))
+    return Measurement(path, "colours", arrays, name, about, tuple(assumed), tuple(left_out))
 
 
 def spectra_scale(values: Array, assumed: list[str]) -> float:
@@ -402,8 +401,8 @@ def measurement_of(path: Path, table: Table) -> Measurement | None:
     if key is not None and "NAME" in key and "SAMPLE_ID" in table.fields:
         metadata["sample_ids"] = [row[place["SAMPLE_ID"]] for row in table.rows]
     return colours(
-        path, "cgats", names, data, illuminant=illuminant, observer=observer, name=table.keywords.get("DESCRIPTOR", ""),
-        metadata=metadata, assumed=assumed, left_out=left_out,
+        path, names, data, illuminant=illuminant, observer=observer, name=table.keywords.get("DESCRIPTOR", ""),
+        metadata=metadata, assumed=assumed, left_out=left_out
     )  # fmt: skip
 
 
@@ -490,7 +489,7 @@ def read_icc_text(path: Path, options: ReadOptions) -> list[Measurement]:
     scale = 100.0 if encoding == "icEncodeFloat" else 1.0
     data = {name: found[0].table[:, place] * scale for place, name in enumerate(_ICC_TEXT_NAMES[signature])}
     names = [str(place) for place in range(1, len(found[0].table) + 1)]
-    return [colours(path, "icc-text", names, data, assumed=["D50 and the observer 2deg, as ICC defines the space"],
+    return [colours(path, names, data, assumed=["D50 and the observer 2deg, as ICC defines the space"],
                     illuminant="D50", observer="2deg")]  # fmt: skip
 
 
@@ -617,4 +616,4 @@ def _rgb(path: Path, fields: list[str], rows: list[list[str]]) -> Measurement:
         raise NacreError(f"{path}: red, green, blue are neither 0 to 1 nor whole numbers of 0 to 255")
     names = next((fields.index(name) for name in ("SAMPLE_NAME", "SAMPLE_ID") if name in fields), None)
     texts = [row[names] if names is not None else str(count) for count, row in enumerate(rows, start=1)]
-    return colours(path, "colour-table", texts, {"srgb": srgb / 255.0 if is_bytes else srgb}, assumed=[SRGB])
+    return colours(path, texts, {"srgb": srgb / 255.0 if is_bytes else srgb}, assumed=[SRGB])

@@ -27,7 +27,7 @@ def index_of_permittivity(eps1: Floats, eps2: Floats) -> tuple[Floats, Floats]:
     return np.asarray(root.real), np.asarray(root.imag)
 
 
-def constants(columns: Columns, options: ReadOptions, nm: Floats, format_id: str, name: str = "") -> Measurement:
+def constants(columns: Columns, options: ReadOptions, nm: Floats, name: str = "") -> Measurement:
     """Return the optical constants of one table as a measurement of kind "constants", ascending in wavelength.
 
     Raises:
@@ -61,7 +61,7 @@ def constants(columns: Columns, options: ReadOptions, nm: Floats, format_id: str
     n, k = checked(path, nm, n, k, assumed, "eps2" in given)
     data: dict[str, Floats] = {"wavelength_nm": nm, "n": n, "k": k}
     data |= {quantity: given[quantity] for quantity in ("eps1", "eps2") if quantity in given}
-    return Measurement(path, format_id, "constants", data, name, {}, tuple(assumed), tuple(left_out))
+    return Measurement(path, "constants", data, name, {}, tuple(assumed), tuple(left_out))
 
 
 def _n_and_k(path: Path, given: dict[str, Floats], columns: Columns) -> tuple[Floats, Floats]:
@@ -178,9 +178,7 @@ def _material_nexus_dispersion(path: Path, file: Any, entry: str) -> Measurement
             nm, given = sorted_by_wavelength(path, nm, {"n": n, "k": k})
             n, k = checked(path, nm, given["n"], given["k"], assumed)
             data = {"wavelength_nm": nm, "n": n, "k": k}
-            return Measurement(
-                path, "nexus-dispersion", "constants", data, path.stem, {}, tuple(assumed), tuple(left_out)
-            )
+            return Measurement(path, "constants", data, path.stem, {}, tuple(assumed), tuple(left_out))
     raise NacreError(f"{path}: is a NeXus dispersion by a formula without a table; export a table of n and k")
 
 
@@ -265,7 +263,7 @@ def read_rii_page(path: Path, options: ReadOptions) -> list[Measurement]:
     assumed: list[str] = []
     n, k = checked(path, nm, given["n"], given["k"], assumed)
     data = {"wavelength_nm": nm, "n": n, "k": k}
-    return [Measurement(path, "rii-page", "constants", data, path.stem, {}, tuple(assumed))]
+    return [Measurement(path, "constants", data, path.stem, {}, tuple(assumed))]
 
 
 def _rows(path: Path, text: str) -> Floats:
@@ -321,7 +319,7 @@ def read_sopra(path: Path, options: ReadOptions) -> list[Measurement]:
     assumed: list[str] = ["the wavelengths are in nm, as in the database of SOPRA"]
     n, k = checked(path, nm, given["n"], given["k"], assumed)
     data = {"wavelength_nm": nm, "n": n, "k": k}
-    return [Measurement(path, "sopra", "constants", data, path.stem, {}, tuple(assumed))]
+    return [Measurement(path, "constants", data, path.stem, {}, tuple(assumed))]
 
 
 # Pairs of spectral files of Mitsuba and PBRT: `Au.eta.spd` with n and `Au.k.spd` with k over nm.
@@ -366,9 +364,7 @@ def read_spd_pair(path: Path, options: ReadOptions) -> list[Measurement]:
     assumed = ["the wavelengths are in nm, as Mitsuba and PBRT define"]
     n, k = checked(path, nm, *((mine, theirs) if is_n else (theirs, mine)), assumed)
     data = {"wavelength_nm": nm, "n": n, "k": k}
-    return [
-        Measurement(path, "spd-pair", "constants", data, match[1], {"files": [path.name, other.name]}, tuple(assumed))
-    ]
+    return [Measurement(path, "constants", data, match[1], {"files": [path.name, other.name]}, tuple(assumed))]
 
 
 def _columns(path: Path) -> tuple[Floats, Floats]:
@@ -450,7 +446,7 @@ def read_woollam_mat(path: Path, options: ReadOptions) -> list[Measurement]:
     columns = interpret(tables[0], (*names, "wavelength", "energy", "wavenumber"), own)
     nm = columns.spectral_nm(own)
     assert nm is not None
-    return [constants(columns, own, nm, "woollam-mat", name)]
+    return [constants(columns, own, nm, name)]
 
 
 def _heading(unit: str) -> str:
@@ -516,4 +512,4 @@ def _material_zemax_coating(path: Path, name: str, table: np.ndarray, left_out: 
     assumed: list[str] = []
     n, k = checked(path, nm, given["n"], given["k"] + 0.0, assumed)
     data = {"wavelength_nm": nm, "n": n, "k": k}
-    return Measurement(path, "zemax-coating", "constants", data, name, {}, tuple(assumed), left_out)
+    return Measurement(path, "constants", data, name, {}, tuple(assumed), left_out)

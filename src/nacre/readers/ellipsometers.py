@@ -146,7 +146,7 @@ def _data_set(
         if zone is None:
             notes.append("rows of one wavelength and angle are averaged")
     return ellipsometry(
-        path, "accurion", columns, options, maker="Accurion", name=name, metadata=metadata, assumed=notes, left_out=out
+        path, columns, options, maker="Accurion", name=name, metadata=metadata, assumed=notes, left_out=out
     )
 
 
@@ -203,7 +203,7 @@ def read_film_sense(path: Path, options: ReadOptions) -> list[Measurement]:
         columns["angle_of_incidence_deg"] = np.full(many, angles[0])
     left_out = [f"{len(lines) - 2 - 2 * many} lines after the data"] if len(lines) > 2 + 2 * many else []
     notes = ["the angle of incidence is the absolute value of the angle in the file"] if angles else []
-    return [ellipsometry(path, "film-sense", columns, options, maker="Film Sense", assumed=notes, left_out=left_out)]
+    return [ellipsometry(path, columns, options, maker="Film Sense", assumed=notes, left_out=left_out)]
 
 
 def _dynamic(
@@ -236,7 +236,7 @@ def _dynamic(
     metadata = {"leds": dict(zip(leds, wavelengths.tolist())), "times": len(rows)}
     assumed = ["the time is in seconds", "the LEDs have the wavelengths of the head in the same order"]
     return ellipsometry(
-        path, "film-sense", columns, options, maker="Film Sense", metadata=metadata, assumed=assumed, left_out=left_out
+        path, columns, options, maker="Film Sense", metadata=metadata, assumed=assumed, left_out=left_out
     )
 
 
@@ -304,7 +304,7 @@ def read_horiba(path: Path, options: ReadOptions) -> list[Measurement]:
     if angle:
         columns["angle_of_incidence_deg"] = np.full(len(table), float(angle[0].replace(",", ".")))
     metadata = {key.lower(): " ".join(text for _, text in part) for key, part in sections.items() if key != "DATA"}
-    return [ellipsometry(path, "horiba", columns, options, maker="DeltaPsi", metadata=metadata, left_out=left_out)]
+    return [ellipsometry(path, columns, options, maker="DeltaPsi", metadata=metadata, left_out=left_out)]
 
 
 # Text of in-line tools and of regress-pro: rows after `SE`.
@@ -372,7 +372,7 @@ def read_regress_pro(path: Path, options: ReadOptions) -> list[Measurement]:
         columns |= {"tan_psi": table[:, 1], "cos_delta": table[:, 2]}
         notes.append("the columns PSI and DELTA hold tan Psi and cos Delta: no cosine exceeds 1")
     metadata = {"unit_in_file": "nm", **{key.lower(): value for key, value in stated.items()}}
-    return [ellipsometry(path, "regress-pro", columns, options, metadata=metadata, assumed=notes)]
+    return [ellipsometry(path, columns, options, metadata=metadata, assumed=notes)]
 
 
 # Text of SpectraRay by Sentech: Psi and Delta of several angles side by side, or Mueller matrices.
@@ -455,7 +455,7 @@ def read_spectraray(path: Path, options: ReadOptions) -> list[Measurement]:
     }
     maker = "" if bare else "SpectraRay"
     about = {"unit_in_file": unit}
-    return [ellipsometry(path, "spectraray", columns, options, maker=maker, metadata=about, assumed=assumed)]
+    return [ellipsometry(path, columns, options, maker=maker, metadata=about, assumed=assumed)]
 
 
 # CSV that `nacre ellipsometry -o` writes: canonical names as headings.
@@ -491,7 +491,7 @@ def read_nacre_ellipsometry(path: Path, options: ReadOptions) -> list[Measuremen
     table = same_length(path, rows)
     columns = {name: np.asarray(table[:, i]) for i, name in enumerate(names) if name not in DERIVED}
     left_out = [f"column {name}" for name in names if name in DERIVED]
-    return [ellipsometry(path, "nacre-ellipsometry", columns, options, maker="nacre", left_out=left_out)]
+    return [ellipsometry(path, columns, options, maker="nacre", left_out=left_out)]
 
 
 # NeXus files (HDF5) of the application definition NXellipsometry, in its two drafts.
@@ -606,15 +606,7 @@ def _entry(path: Path, entry: Any, name: str, options: ReadOptions) -> Measureme
     metadata["unit_in_file"] = unit
     maker = metadata.get("company", "NXellipsometry")
     return ellipsometry(
-        path,
-        "nexus-ellipsometry",
-        columns,
-        options,
-        maker=maker,
-        name=name,
-        metadata=metadata,
-        assumed=notes,
-        is_binary=True,
+        path, columns, options, maker=maker, name=name, metadata=metadata, assumed=notes, is_binary=True
     )
 
 
@@ -678,9 +670,7 @@ def read_woollam_dat(path: Path, options: ReadOptions) -> list[Measurement]:
             table = same_length(path, rows)
             columns = psi_delta_columns(path, table, unit, trig)
             results.append(
-                ellipsometry(
-                    path, "woollam-dat", columns, options, maker=WOOLLAM_DAT_MAKER, metadata=metadata, left_out=left_out
-                )
+                ellipsometry(path, columns, options, maker=WOOLLAM_DAT_MAKER, metadata=metadata, left_out=left_out)
             )
     results += _mueller(path, found, unit, options, metadata)
     for word, rows in found.items():
@@ -755,7 +745,7 @@ def _mueller(
         elif table.shape[1] > 3:
             columns[f"m{word[2:]}_error"] = table[:, 3]
     columns.setdefault("m11", np.ones(len(first)))
-    return [ellipsometry(path, "woollam-dat", columns, options, maker=WOOLLAM_DAT_MAKER, metadata=metadata)]
+    return [ellipsometry(path, columns, options, maker=WOOLLAM_DAT_MAKER, metadata=metadata)]
 
 
 def _other(path: Path, word: str, table: Array, unit: str, metadata: dict[str, str]) -> Measurement:
@@ -773,7 +763,7 @@ def _other(path: Path, word: str, table: Array, unit: str, metadata: dict[str, s
         data[f"{name}_error"] = scale * table[:, 3]
     said = {**metadata, "polarisation": polarisation} if polarisation else metadata
     kind = "spectrum" if polarisation else "ellipsometry"
-    return Measurement(path, "woollam-dat", kind, data, word, said)  # type: ignore[arg-type]  # both are kinds
+    return Measurement(path, kind, data, word, said)  # type: ignore[arg-type]  # both are kinds
 
 
 # Text exports of WVASE: wavelength, incidence angle, Psi and Delta, with or without a heading.
@@ -859,4 +849,4 @@ def read_woollam_text(path: Path, options: ReadOptions) -> list[Measurement]:
         rows.append((number, values_of_line))
     columns = psi_delta_columns(path, same_length(path, rows), unit, trig)
     metadata = {"unit_in_file": unit, "comment": " ".join(lines[: max(first - 1, 0)]).strip()}
-    return [ellipsometry(path, "woollam-text", columns, options, maker="WVASE", metadata=metadata, assumed=assumed)]
+    return [ellipsometry(path, columns, options, maker="WVASE", metadata=metadata, assumed=assumed)]

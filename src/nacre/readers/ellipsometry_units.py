@@ -164,7 +164,6 @@ def _is_bare(wavelength: Array, angle: Array, psi: Array, delta: Array) -> bool:
 
 def ellipsometry(
     path: Path,
-    format_id: str,
     columns: Mapping[str, Any],
     options: ReadOptions,
     *,
@@ -210,7 +209,7 @@ def ellipsometry(
         notes += said
     notes += _unequal_blocks(wavelength, angle, data.get("time_s", data.get("time")))
     order = {key: data[key] for key in ("wavelength_nm", "angle_of_incidence_deg")}
-    return Measurement(path, format_id, "ellipsometry", {**order, **data}, name, extra, tuple(notes), tuple(left_out))
+    return Measurement(path, "ellipsometry", {**order, **data}, name, extra, tuple(notes), tuple(left_out))
 
 
 def _convention(path: Path, data: Mapping[str, Array], options: ReadOptions, maker: str) -> tuple[str, Sequence[str]]:

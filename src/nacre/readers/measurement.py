@@ -24,7 +24,6 @@ class Measurement:
 
     Attributes:
         path: the file.
-        format: identifier of the format in `registry.FORMATS`.
         kind: class of instrument or data.
         data: arrays by canonical name; the name ends with the unit (`wavelength_nm`, `angle_of_incidence_deg`,
             `psi_deg`, `height_um`); dimensionless quantities lack a unit (`reflectance`, `n`, `k`, `m12`). Arrays of a
@@ -34,16 +33,17 @@ class Measurement:
             `pitch_um`.
         assumed: one sentence for each property that the file does not state.
         left_out: one sentence for each part of the file that was not read.
+        format: identifier in `registry.FORMATS`, which `registry.open_file` sets.
     """
 
     path: Path
-    format: str
     kind: Kind
     data: Mapping[str, NDArray[Any]]
     name: str = ""
     metadata: Mapping[str, Any] = field(default_factory=dict)
     assumed: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
+    format: str = ""
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ def read_palette(path: Path, options: ReadOptions) -> list[Measurement]:
         format_id = "hex"
     names = [own or str(place) for place, (_, own) in enumerate(found, start=1)]
     srgb = [rgb for rgb, _ in found]
-    return [colours(path, "palette", names, {"srgb": srgb}, name=name, metadata={"form": format_id}, assumed=[SRGB])]
+    return [colours(path, names, {"srgb": srgb}, name=name, metadata={"form": format_id}, assumed=[SRGB])]
 
 
 def _is_remark(line: str) -> bool:
@@ -160,8 +160,8 @@ def read_ase(path: Path, options: ReadOptions) -> list[Measurement]:
             )
             found.append(
                 colours(
-                    path, "ase", names, data_of, name=space, left_out=left_out,
-                    assumed=[SRGB] if space == "srgb" else [],
+                    path, names, data_of, name=space, left_out=left_out,
+                    assumed=[SRGB] if space == "srgb" else []
                 )
             )  # fmt: skip
     if not found:
@@ -319,8 +319,8 @@ def _measurement(
         if not states_grid:
             assumed.append("wavelengths in steps of 10 nm by the number of values; the file states no increment")
     return colours(
-        path, "cxf", [name for name, _ in entries], data, illuminant=specification.illuminant,
-        observer=specification.observer, assumed=assumed, left_out=skipped,
+        path, [name for name, _ in entries], data, illuminant=specification.illuminant,
+        observer=specification.observer, assumed=assumed, left_out=skipped
     )  # fmt: skip
 
 
@@ -425,7 +425,7 @@ def _lamp(
 ) -> Measurement:
     notes = Notes(assumed=[LAMP])
     label = Label("irradiance", 1.0)
-    return common.spectrum(path, "lamp", nm, values, label, options, metadata=metadata, notes=notes)
+    return common.spectrum(path, nm, values, label, options, metadata=metadata, notes=notes)
 
 
 def _tm27(path: Path, data: bytes, options: ReadOptions) -> Measurement:
@@ -443,4 +443,4 @@ def _tm27(path: Path, data: bytes, options: ReadOptions) -> Measurement:
     quantity = _QUANTITIES.get(stated.lower())
     if quantity is None:
         return _lamp(path, nm, values, metadata, options)
-    return common.spectrum(path, "lamp", nm, values, Label(quantity, 1.0), options, metadata=metadata)
+    return common.spectrum(path, nm, values, Label(quantity, 1.0), options, metadata=metadata)

@@ -27,8 +27,8 @@ POSSIBLE = 0.2  # any table of numbers
 _MARKUP = re.compile(r"\s*(?:[<{]|\[\s*[\[{\"\d-])")
 CUT = "the file ends inside its last line, which may be cut"
 _DAMAGE = (
-    ValueError, LookupError, ArithmeticError, RuntimeError, EOFError, TypeError, struct.error, zlib.error,
-    zipfile.BadZipFile, ParseError,
+    ValueError, LookupError, ArithmeticError, RuntimeError, EOFError, TypeError, AttributeError, struct.error,
+    zlib.error, zipfile.BadZipFile, ParseError,
 )  # fmt: skip
 
 
@@ -168,7 +168,11 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
         raise NacreError(f"{path}: is damaged, or no {entry.title} ({str(error)[:80]})") from error
     if not measurements:
         raise NacreError(f"{path}: {entry.title} without data")
-    return [_with_cut(measurement) for measurement in measurements] if _is_cut(path) else measurements
+    remarks = [CUT] if _is_cut(path) else []
+    return [
+        replace(each, format=entry.id, assumed=(*each.assumed, *(said for said in remarks if said not in each.assumed)))
+        for each in measurements
+    ]
 
 
 def _is_cut(path: Path) -> bool:
@@ -179,12 +183,6 @@ def _is_cut(path: Path) -> bool:
     line = re.split(rb"[\r\n]", last)[-1].strip()
     has_digit, is_text = re.search(rb"\d", line), all(32 <= byte < 127 or byte == 9 for byte in line)
     return bool(has_digit) and is_text and not line.endswith((b">", b"}", b"]"))
-
-
-def _with_cut(measurement: Measurement) -> Measurement:
-    if CUT in measurement.assumed:
-        return measurement
-    return replace(measurement, assumed=(*measurement.assumed, CUT))
 
 
 # first bytes -> what the file is

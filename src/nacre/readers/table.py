@@ -173,9 +173,7 @@ def _looks_like_constants(table: TextTable) -> bool:
     return is_axis and 0 < n.min() and n.max() <= 8 and k.min() >= 0 and k.max() <= 30
 
 
-def constants_of(
-    path: Path, options: ReadOptions, tables: Sequence[TextTable], format_id: str = "table"
-) -> list[Measurement]:
+def constants_of(path: Path, options: ReadOptions, tables: Sequence[TextTable]) -> list[Measurement]:
     """Return the optical constants of a file's blocks; a block of n and one of k for the same wavelengths are joined.
 
     Raises:
@@ -198,7 +196,7 @@ def constants_of(
             raise NacreError(
                 f"{path}: no column of wavelengths or energies; the columns are {columns.table.shown_headings}"
             )
-        found.append(constants(columns, options, nm, format_id, _block_name(columns.table) if len(each) > 1 else ""))
+        found.append(constants(columns, options, nm, _block_name(columns.table) if len(each) > 1 else ""))
     return found
 
 
@@ -351,9 +349,7 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
             data = {"wavelength_nm": nm_sorted, **rest}
         name = members[0].heading if len(groups) > 1 else ""
         found.append(
-            Measurement(
-                table.path, "table", "spectrum", data, name, metadata, tuple(columns.assumed), _left_out(columns)
-            )
+            Measurement(table.path, "spectrum", data, name, metadata, tuple(columns.assumed), _left_out(columns))
         )
     return found
 
@@ -388,7 +384,7 @@ def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
             columns.assumed.append(f"angle of incidence from {' and '.join(map(repr, above.lines))}")
     elif None not in groups:
         found["angle_of_incidence_deg"] = np.repeat(np.array(list(groups), dtype=float), len(nm))
-    return ellipsometry(columns.path, "table", found, options, assumed=columns.assumed, left_out=_left_out(columns))
+    return ellipsometry(columns.path, found, options, assumed=columns.assumed, left_out=_left_out(columns))
 
 
 def _plain(columns: Columns, kind: Kind) -> Measurement:
@@ -429,7 +425,7 @@ def _plain(columns: Columns, kind: Kind) -> Measurement:
         metadata |= light_above(columns.table.titles)
     if kind == "colours" and "hex" in columns.texts:
         data["srgb"] = np.array([srgb_of_hex(columns.path, cell) for cell in columns.texts["hex"]])
-    return Measurement(columns.path, "table", kind, data, "", metadata, tuple(columns.assumed), _left_out(columns))
+    return Measurement(columns.path, kind, data, "", metadata, tuple(columns.assumed), _left_out(columns))
 
 
 def srgb_of_hex(path: Path, cell: str) -> list[float]:
@@ -501,7 +497,7 @@ def read_nacre_table(path: Path, options: ReadOptions) -> list[Measurement]:
         if any(column is None for column in numbers):
             raise NacreError(f"{path}: holds cells that are no numbers")
         what = lines[first].removeprefix("# ").rstrip().removesuffix(MAP)
-        return [Measurement(path, "nacre-table", "table", {"value": np.stack(numbers, axis=1)}, what)]  # type: ignore[arg-type]
+        return [Measurement(path, "table", {"value": np.stack(numbers, axis=1)}, what)]  # type: ignore[arg-type]
     data: dict[str, NDArray[Any]] = {}
     words: dict[str, Any] = {"table": name}
     empty: list[str] = []
@@ -513,7 +509,7 @@ def read_nacre_table(path: Path, options: ReadOptions) -> list[Measurement]:
             words[heading] = cells
         else:
             data[heading] = column
-    return [Measurement(path, "nacre-table", "table", data, name, words, left_out=tuple(empty))]
+    return [Measurement(path, "table", data, name, words, left_out=tuple(empty))]
 
 
 def _numbers(cells: list[str]) -> NDArray[np.float64] | None:

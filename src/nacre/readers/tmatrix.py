@@ -303,4 +303,4 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         "wavelength_nm": wavelengths[order], "tmatrix": values[order], "embedding_index": index[order],
         "mean_extinction_nm2": extinction,
     }  # fmt: skip
-    return [Measurement(path, "tmatrix", "tmatrix", data, name, facts)]
+    return [Measurement(path, "tmatrix", data, name, facts)]

@@ -73,13 +73,12 @@ def read_alta(path: Path, options: ReadOptions) -> list[Measurement]:
         data = {"cos_theta_half": cosine}
         data |= {"bsdf_rgb": values} if values.shape[1] == 3 else {"bsdf": values[:, 0]}
         lost = "a one-dimensional slice over the half angle: it determines no BRDF by itself"
-        return [Measurement(path, "alta", "bsdf", data, "", metadata | {"scatter": "brdf"}, (), (lost,))]
+        return [Measurement(path, "bsdf", data, "", metadata | {"scatter": "brdf"}, (), (lost,))]
     colour = OUTPUTS[output]
     if (3 if colour else 1) != outputs:
         raise NacreError(f"{path}: PARAM_OUT = {output} does not fit the {outputs} values of #DIM")
     assumed = ["the file names no wavelength; one value stands for all"] if colour is None else []
-    return [as_measurement(path, "alta", _angles(path, parameters, x), None, values, metadata, colour=colour,
-                           assumed=assumed)]  # fmt: skip
+    return [as_measurement(path, _angles(path, parameters, x), None, values, metadata, colour=colour, assumed=assumed)]
 
 
 def _angles(path: Path, parameters: str, x: Array) -> Array:
@@ -181,7 +180,7 @@ def read_merl(path: Path, options: ReadOptions) -> list[Measurement]:
     metadata = {"scatter": "brdf", "pairs": len(angles), "shape": SHAPE}
     below = int(np.sum(~is_up()))
     left = [f"{below} of {up.size} bins lie below the surface", *bin_remarks(table)]
-    return [Measurement(path, "merl", "bsdf", data, "", metadata, (), tuple(left))]
+    return [Measurement(path, "bsdf", data, "", metadata, (), tuple(left))]
 
 
 # UTIA BRDF files: float64 planes of RGB on a uniform grid, without a head (Filip and Vavra 2014).
@@ -219,7 +218,7 @@ def read_utia(path: Path, options: ReadOptions) -> list[Measurement]:
     metadata = {"scatter": "brdf", "shape": (len(THETA), len(PHI), len(THETA), len(PHI))}
     assumed = ["the file has no head; the standard grid of the UTIA database is assumed"]
     return [
-        measurement(path, "utia", pairs_of(*grids), None, planes.T, metadata, colour="rgb", assumed=assumed,
+        measurement(path, pairs_of(*grids), None, planes.T, metadata, colour="rgb", assumed=assumed,
                     left_out=["nothing was measured above 75 degrees"])
     ]  # fmt: skip
 
@@ -547,5 +546,5 @@ def read_rgl(path: Path, options: ReadOptions) -> list[Measurement]:
         "phi_i_deg": np.degrees(table.phi_i), "shape": table.values.shape,
     }  # fmt: skip
     left = ["samples whose exit direction lies below the surface"]
-    return [measurement(path, "rgl", angles, table.wavelengths_nm, values, metadata,
+    return [measurement(path, angles, table.wavelengths_nm, values, metadata,
                         colour="rgb" if is_rgb else None, left_out=left)]  # fmt: skip

@@ -152,11 +152,11 @@ def read_gonio(path: Path, options: ReadOptions) -> list[Measurement]:
             raise NacreError(f"{path}: has {len(columns)} of the three channels {space.upper()}")
         assumed += ["reflectance factors were divided by pi"] if options.quantity == QUANTITIES[1] else []
         channels = table[:, columns] / (np.pi if options.quantity == QUANTITIES[1] else 1.0)
-        return [measurement(path, "gonio", angles, None, channels, colour=space, assumed=assumed)]
+        return [measurement(path, angles, None, channels, colour=space, assumed=assumed)]
     values, waves, notes = _values(path, known, table, options)
     assumed += notes
     if known.waves or waves is None:
-        return [measurement(path, "gonio", angles, waves, values, {"form": "wide"} | _side(known), assumed=assumed)]
+        return [measurement(path, angles, waves, values, {"form": "wide"} | _side(known), assumed=assumed)]
     return [_long(path, known, table, angles, waves, values, assumed)]
 
 
@@ -168,7 +168,7 @@ def _long(
     path: Path, known: Heading, table: Array, angles: Array, waves: Array, values: Array, assumed: list[str]
 ) -> Measurement:
     """Return one row per direction pair and wavelength, in the file's order."""
-    made = measurement(path, "gonio", angles, None, values, {"pairs": len(np.unique(angles, axis=0))} | _side(known),
+    made = measurement(path, angles, None, values, {"pairs": len(np.unique(angles, axis=0))} | _side(known),
                           assumed=assumed)  # fmt: skip
     data = dict(made.data)
     value = data.pop("bsdf")
@@ -429,7 +429,6 @@ def angles_in_degrees(path: Path, angles: Array, unit: str | None) -> tuple[Arra
 
 def measurement(
     path: Path,
-    format_id: str,
     angles: Array,
     wavelengths_nm: Array | None,
     values: Array,
@@ -458,8 +457,8 @@ def measurement(
             data["wavelength_nm"] = np.tile(wavelengths_nm, len(angles))
         data["bsdf"] = values.reshape(-1)
     return Measurement(
-        path, format_id, "bsdf", data, name, {"scatter": scatter, "pairs": len(angles)} | dict(metadata or {}),
-        (*assumed, *_remarks(values)[0]), (*left_out, *_remarks(values)[1]),
+        path, "bsdf", data, name, {"scatter": scatter, "pairs": len(angles)} | dict(metadata or {}),
+        (*assumed, *_remarks(values)[0]), (*left_out, *_remarks(values)[1])
     )  # fmt: skip
 
 

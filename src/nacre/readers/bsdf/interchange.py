@@ -65,7 +65,7 @@ def read_astm_e1392(path: Path, options: ReadOptions) -> list[Measurement]:
     metadata = {"scatter": "btdf" if any("btdf" in n.lower() for n in names[4:]) else "brdf", "vars": names}
     head = [line.strip() for line in lines[:start] if line.strip()]
     return [
-        measurement(path, "astm_e1392", angles, waves, table[:, 4:], metadata | {"head": head}, colour=colour,
+        measurement(path, angles, waves, table[:, 4:], metadata | {"head": head}, colour=colour,
                        assumed=[*assumed, *notes])
     ]  # fmt: skip
 
@@ -177,9 +177,9 @@ def _block_ssdd(path: Path, entries: dict[str, str], data: bytes, place: int) ->
         if waves is not None:
             table["wavelength_nm"] = np.tile(waves, grids[0].size)
         table[f"specular_{quantity}"] = values.ravel()
-        return Measurement(path, "ssdd", "bsdf", table, name, metadata), place
+        return Measurement(path, "bsdf", table, name, metadata), place
     angles = _angles(entries.get("PARAM_TYPE", "").lower(), grids, entries, axes[0])
-    return measurement(path, "ssdd", angles, waves, values, metadata, name=name, colour=colour), place
+    return measurement(path, angles, waves, values, metadata, name=name, colour=colour), place
 
 
 def _values(mode: str, data: bytes, place: int, count: int) -> tuple[Array, int]:
@@ -254,7 +254,7 @@ def read_brdf_json(path: Path, options: ReadOptions) -> list[Measurement]:
     metadata: dict[str, Any] = {"scatter": scatter, "variables": names, "head": head}
     name = str(head.get("name", "")) if isinstance(head, dict) else ""
     pairs = np.stack([theta_i, phi_i, theta_o, phi_o], axis=-1)
-    made = gonio_table.measurement(path, "brdf_json", pairs, None, value[:, None], metadata, name=name)
+    made = gonio_table.measurement(path, pairs, None, value[:, None], metadata, name=name)
     data, assumed = dict(made.data), list(made.assumed)
     wave = next((name for name in WAVES if name in place), None)
     if wave is not None:
@@ -271,8 +271,7 @@ def read_brdf_json(path: Path, options: ReadOptions) -> list[Measurement]:
     used = {*sum(BRDF_JSON_ANGLES, ()), *WAVES, "brdf", "btdf", "bsdf", "ubrdf", "ubtdf", "ubsdf"}
     left = [f"variable {name} was not read" for name in names if name.lower() not in used]
     ordered = {key: data[key] for key in (*gonio_table.DEGREES, "wavelength_nm", "bsdf", "bsdf_error") if key in data}
-    return [Measurement(path, made.format, made.kind, ordered, made.name, made.metadata, tuple(assumed),
-                        (*made.left_out, *left))]  # fmt: skip
+    return [Measurement(path, made.kind, ordered, made.name, made.metadata, tuple(assumed), (*made.left_out, *left))]
 
 
 def _column(
@@ -380,7 +379,7 @@ def _block_window_xml(
                 "shape": values.shape}  # fmt: skip
     assumed = ["azimuths of incident and outgoing patches are as the basis counts them",
                f"the values are means over the range {label or 'of the file'}"]  # fmt: skip
-    return gonio_table.measurement(path, "window_xml", angles, None, values.reshape(-1, 1), metadata,
+    return gonio_table.measurement(path, angles, None, values.reshape(-1, 1), metadata,
                        name=f"{name} {label} {side}".strip(), assumed=assumed)  # fmt: skip
 
 
@@ -478,7 +477,7 @@ def _model(
     left = ("parameters of a model, not samples of a BSDF",)
     metadata = {"scatter": "model", "title": lines[0].strip(), "comment": lines[1].strip(),
                 "incidences": len(theta), "wavelengths_nm": wavelengths}  # fmt: skip
-    return Measurement(path, "speos", "bsdf", data, lines[1].strip(), metadata | {"form": form}, (), left)
+    return Measurement(path, "bsdf", data, lines[1].strip(), metadata | {"form": form}, (), left)
 
 
 def _head(lines: list[str]) -> tuple[list[str], str]:
@@ -576,9 +575,7 @@ def _made(
     path: Path, form: str, scatter: str, angles: Array, waves: Array | None, values: Array, metadata: dict[str, Any]
 ) -> Measurement:
     assumed = ["values are scaled to the file's share of reflected or transmitted light"]
-    return measurement(
-        path, "speos", angles, waves, values, metadata | {"scatter": scatter, "form": form}, assumed=assumed
-    )
+    return measurement(path, angles, waves, values, metadata | {"scatter": scatter, "form": form}, assumed=assumed)
 
 
 def _anisotropic(path: Path, lines: list[str]) -> list[Measurement]:
@@ -612,7 +609,7 @@ def _anisotropic(path: Path, lines: list[str]) -> list[Measurement]:
         metadata = {"title": lines[0].strip(), "description": text, "anisotropy_vector": vector,
                     "reference_spectrum_percent": spectrum[:, 1], "scatter": scatter}  # fmt: skip
         assumed = ["the file's spectrum at one direction, relative to its maximum, multiplies all directions"]
-        found.append(measurement(path, "speos", np.concatenate(angles), spectrum[:, 0],
+        found.append(measurement(path, np.concatenate(angles), spectrum[:, 0],
                                  f[:, None] * share, metadata, assumed=assumed))  # fmt: skip
     return found
 
@@ -634,6 +631,6 @@ def _both_sides(path: Path, lines: list[str]) -> list[Measurement]:
     found = []
     for side, start, end in zip(("front", "back"), starts, ends, strict=True):
         for part in _part(path, lines[start:end]):
-            found.append(Measurement(part.path, "speos", part.kind, part.data, f"{side} {part.name}".strip(),
+            found.append(Measurement(part.path, part.kind, part.data, f"{side} {part.name}".strip(),
                                      dict(part.metadata) | {"side": side}, part.assumed, part.left_out))  # fmt: skip
     return found

@@ -66,7 +66,7 @@ def read_fred(path: Path, options: ReadOptions) -> list[Measurement]:
     scale = float(form.get("scale") or 1.0)
     scatter = "btdf" if np.all(pairs[:, 2] > 90.0) else "brdf"
     notes = [note, "the file names no wavelength; one value stands for all"]
-    return [measurement(path, "fred", pairs, None, scale * table[:, 4:], {"scatter": scatter}, assumed=notes)]
+    return [measurement(path, pairs, None, scale * table[:, 4:], {"scatter": scatter}, assumed=notes)]
 
 
 def _turned(angles: Array, values: Array) -> tuple[Array, str]:
@@ -202,7 +202,7 @@ def _one_lighttools(
     metadata = {"scatter": scatter, "side": side, "symmetry": head.get("Symmetry", ""),
                 "tis": [float(b.head["TIS"]) for b in blocks]}  # fmt: skip
     assumed = ["the light comes from azimuth 90, as in LightTools files of isotropic surfaces", *notes]
-    return measurement(path, "lighttools", pairs, waves, values.reshape(len(pairs), -1), metadata,
+    return measurement(path, pairs, waves, values.reshape(len(pairs), -1), metadata,
                        name=side, colour="xyz" if is_xyz else None, assumed=assumed)  # fmt: skip
 
 
@@ -270,7 +270,7 @@ def _one_tracepro(path: Path, table: dict[str, Array], scatter: str, title: str)
     left = (f"{beyond} rows lie beyond the unit circle of direction cosines",) if beyond else ()
     assumed = ("ScatterAzimuth is counted from the direction of larger beta",)
     metadata = {"scatter": scatter, "pairs": int(np.sum(inside))}
-    return Measurement(path, "tracepro", "bsdf", data, title, metadata, assumed, left)
+    return Measurement(path, "bsdf", data, title, metadata, assumed, left)
 
 
 # Zemax tabular BSDF files: scatter about the specular direction, monochrome or XYZ.
@@ -426,6 +426,6 @@ def read_zemax(path: Path, options: ReadOptions) -> list[Measurement]:
     assumed = [f"below {first:g} degrees nothing was measured"] if first > 0 else []
     assumed += [] if colour else ["the file names no wavelength; one value stands for all"]
     return [
-        as_measurement(path, "zemax", angles, None, values.reshape(len(values), -1).T, metadata, colour=colour,
+        as_measurement(path, angles, None, values.reshape(len(values), -1).T, metadata, colour=colour,
                        assumed=assumed)
     ]  # fmt: skip

@@ -31,7 +31,6 @@ from nacre.readers.heights.surface import (
     height_map,
     length_um,
     numbers,
-    reads,
 )
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
@@ -62,7 +61,6 @@ def _tags(data: bytes) -> dict[str, str]:
     return found
 
 
-@surface.reads
 def read_al3d(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the depth image; its rows are padded to multiples of 8 bytes."""
     data = path.read_bytes()
@@ -75,7 +73,7 @@ def read_al3d(path: Path, options: ReadOptions) -> list[Measurement]:
     pitch = float(tags["PixelSizeXMeter"]) * 1e6, float(tags["PixelSizeYMeter"]) * 1e6
     left = ["texture image"] if int(tags.get("TextureImageOffset", 0)) else []
     facts = {"instrument": tags.get("CreatingApplication", "")}
-    return [surface.height_map(path, "al3d", heights * 1e6, pitch, metadata=facts, left_out=left)]
+    return [surface.height_map(path, heights * 1e6, pitch, metadata=facts, left_out=left)]
 
 
 # Digital Surf .sur files of MountainsMap; compressed ones hold streams of deflate below a table of their sizes.
@@ -90,7 +88,6 @@ def sniff_sur(head: FileHead) -> float:
     return CERTAIN if head.data.startswith(MAGICS) else 0.0
 
 
-@surface.reads
 def read_sur(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; z = raw step + offset, with holes at the lowest raw value less 2."""
     data = path.read_bytes()
@@ -120,7 +117,7 @@ def read_sur(path: Path, options: ReadOptions) -> list[Measurement]:
     heights *= step_z * z * (-1.0 if inversion in (1, 2, 3) else 1.0)
     heights = heights[:, ::-1] if inversion == 2 else heights[::-1] if inversion == 3 else heights
     facts = {"instrument": instrument, "height_offset_um": offset * z}
-    return [surface.height_map(path, "sur", heights, (step_x * x, step_y * y), metadata=facts)]
+    return [surface.height_map(path, heights, (step_x * x, step_y * y), metadata=facts)]
 
 
 def _inflated(data: bytes, start: int, expected: int) -> bytes:
@@ -163,7 +160,6 @@ def sniff_keyence(head: FileHead) -> float:
     return CERTAIN if DATE.match(text) and CALIBRATION.search(text) else 0.0
 
 
-@surface.reads
 def read_keyence(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read a binary file's maps, or a CSV file's one."""
     data = path.read_bytes()
@@ -183,7 +179,7 @@ def read_keyence(path: Path, options: ReadOptions) -> list[Measurement]:
             if bits not in (8, 16, 32):
                 raise ValueError(f"heights of {bits} bits")
             raw = surface.array(data, f"<u{bits // 8}", (rows, columns), at + PALETTE)
-            maps.append(surface.height_map(path, "keyence", raw * (z * 1e-6), (x * 1e-6, y * 1e-6), f"height {number}"))
+            maps.append(surface.height_map(path, raw * (z * 1e-6), (x * 1e-6, y * 1e-6), f"height {number}"))
     return surface.chosen(path, maps, [], options)
 
 
@@ -209,7 +205,7 @@ def _csv(path: Path, text: str) -> Measurement:
     if heights.ndim != 2 or any(s and int(s[0]) != n for s, n in zip(stated, heights.shape)):
         raise ValueError(f"its rows do not hold {' x '.join(s[0] for s in stated if s)} heights")
     step = float(calibration[0].replace(",", ".")) * lateral
-    return surface.height_map(path, "keyence", heights * vertical, (step, step))
+    return surface.height_map(path, heights * vertical, (step, step))
 
 
 def _is_number(cell: str) -> bool:
@@ -335,7 +331,6 @@ class _Items:
         return True
 
 
-@surface.reads
 def read_opdx(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the maps; extents reach from the first point to the last."""
     data = path.read_bytes()
@@ -359,7 +354,7 @@ def read_opdx(path: Path, options: ReadOptions) -> list[Measurement]:
             extent, symbol = found[f"{prefix}/Dimension{axis}Extent"]
             pitch.append(extent * (surface.length_um(symbol) or 0.0) / max(count - 1, 1))
         raw = surface.array(data, "<f4", (rows, columns), start)
-        maps.append(surface.height_map(path, "opdx", raw.astype(float) * scale * factor, (pitch[0], pitch[1]), name))
+        maps.append(surface.height_map(path, raw.astype(float) * scale * factor, (pitch[0], pitch[1]), name))
     return surface.chosen(path, maps, others, options)
 
 
@@ -382,7 +377,6 @@ def sniff_wyko(head: FileHead) -> float:
     return CERTAIN if head.data.startswith(WYKO_MAGIC) or TEXT.match(head.text[:200]) else 0.0
 
 
-@surface.reads
 def read_wyko(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the height maps; other arrays, such as intensities, are left out."""
     data = path.read_bytes()
@@ -401,7 +395,7 @@ def read_wyko(path: Path, options: ReadOptions) -> list[Measurement]:
     others = [f'"{name}"' for name in arrays if name not in HEIGHTS]
     left = [f"array {name}: no height" for name in others]
     maps = [
-        surface.height_map(path, "wyko", values.T[::-1] * factor * 1e-3, pitch, name, left_out=left)
+        surface.height_map(path, values.T[::-1] * factor * 1e-3, pitch, name, left_out=left)
         for name, values in arrays.items() if name in HEIGHTS
     ]  # fmt: skip
     return surface.chosen(path, maps, others, options)
@@ -470,14 +464,13 @@ def sniff_tmd(head: FileHead) -> float:
     return CERTAIN if head.data.startswith(TMD_MAGIC) else 0.0
 
 
-@surface.reads
 def read_tmd(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map after a comment that ends in a zero byte."""
     data = path.read_bytes()
     start = data.index(b"\0", 32) + 1
     columns, rows, width, height, _, _ = TMD_HEAD.unpack_from(data, start)
     raw = surface.array(data, "<f4", (rows, columns), start + TMD_HEAD.size)
-    return [surface.height_map(path, "tmd", raw.astype(float) * 1e3, (width / columns * 1e3, height / rows * 1e3))]
+    return [surface.height_map(path, raw.astype(float) * 1e3, (width / columns * 1e3, height / rows * 1e3))]
 
 
 # The exchange formats of ISO 25178: surface data (part 71, .sdf) and X3P (part 72).
@@ -494,7 +487,6 @@ def sniff_sdf(head: FileHead) -> float:
     return CERTAIN if head.data.lstrip().startswith(MAGIC) else 0.0
 
 
-@reads
 def read_sdf(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; scales are in m."""
     data = path.read_bytes().lstrip()
@@ -507,7 +499,7 @@ def read_sdf(path: Path, options: ReadOptions) -> list[Measurement]:
     heights = values.astype(float)
     heights[np.isin(heights, _holes(np.dtype(SDF_TYPES[int(fields["DataType"])]), data[1:4] == b"BCR"))] = np.nan
     kept = {k: str(v) for k, v in fields.items() if k in ("ManufacID", "CreateDate", "ModDate")}
-    return [height_map(path, "sdf", heights * scale[2] * 1e6, (scale[0] * 1e6, scale[1] * 1e6), metadata=kept)]
+    return [height_map(path, heights * scale[2] * 1e6, (scale[0] * 1e6, scale[1] * 1e6), metadata=kept)]
 
 
 def _holes(kind: np.dtype[Any], is_bcr: bool) -> list[float]:
@@ -572,7 +564,6 @@ def _member(archive: zipfile.ZipFile, name: str) -> bytes:
     return archive.read(name)
 
 
-@reads
 def read_x3p(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; undefined points are NaN or named in a mask of bits."""
     with zipfile.ZipFile(path) as archive:
@@ -609,7 +600,7 @@ def read_x3p(path: Path, options: ReadOptions) -> list[Measurement]:
             bits = np.unpackbits(np.frombuffer(_member(archive, _inside(mask)), "u1"), bitorder="little")
             heights[bits[: rows * columns].reshape(rows, columns) == 0] = np.nan
     facts = {"date": value("Record2/Date", ""), "instrument": value("Record2/Instrument/Model", "")}
-    return [height_map(path, "x3p", heights * 1e6, (steps[0] * 1e6, steps[1] * 1e6), metadata=facts)]
+    return [height_map(path, heights * 1e6, (steps[0] * 1e6, steps[1] * 1e6), metadata=facts)]
 
 
 def _inside(name: str) -> str:
@@ -631,7 +622,6 @@ def sniff_zygo(head: FileHead) -> float:
     return CERTAIN if head.data.startswith(ZYGO_MAGICS) else 0.0
 
 
-@reads
 def read_zygo(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; the lateral resolution may be missing."""
     data = path.read_bytes()
@@ -648,7 +638,7 @@ def read_zygo(path: Path, options: ReadOptions) -> list[Measurement]:
     heights *= factor * obliquity * wavelength_m / PHASES[resolution] * 1e6 * (-1.0 if sign else 1.0)
     pitch = (lateral_m * 1e6,) * 2 if lateral_m > 0 else asked_pitch(path, options)
     left = ["intensity image"] if buckets else []
-    return [height_map(path, "zygo", heights, (pitch[0], pitch[1]), left_out=left)]
+    return [height_map(path, heights, (pitch[0], pitch[1]), left_out=left)]
 
 
 # Zygo MetroPro text: XYZ data (format 1) and ASCII data (format 2), both with a head of 13 or 14 lines.
@@ -666,7 +656,6 @@ def sniff_zygo_text(head: FileHead) -> float:
     return CERTAIN if FIRST.match(head.text[:100].lstrip("\ufeff")) else 0.0
 
 
-@reads
 def read_zygo_text(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; the point distance may be missing.
 
@@ -696,7 +685,7 @@ def read_zygo_text(path: Path, options: ReadOptions) -> list[Measurement]:
         left_out = ["intensity image"] if ends[1] > ends[0] + 1 else []
     step = optics[CAMERA] * 1e6
     pitch = (step, step) if step > 0 else asked_pitch(path, options)
-    return [height_map(path, "zygo-text", heights, pitch, assumed=assumed, left_out=left_out)]
+    return [height_map(path, heights, pitch, assumed=assumed, left_out=left_out)]
 
 
 def _points(lines: list[str], shape: tuple[int, int], origin: tuple[int, int]) -> Array:
@@ -739,7 +728,6 @@ def _scalar(attributes: Any, name: str) -> Any:
     return np.ravel(attributes[name])[0]
 
 
-@reads
 def read_datx(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the surfaces; fringes are multiplied by wavelength, scale factor and obliquity."""
     maps = []
@@ -768,4 +756,4 @@ def _map(path: Path, surface: Any, name: str, options: ReadOptions) -> Measureme
         raise NacreError(f"{path}: its surface is in {unit[:20]}; heights are lengths")
     steps = [float(np.ravel(_scalar(surface.attrs, f"{axis} Converter")[-1])[1]) * 1e6 for axis in "XY"]
     pitch = (steps[0], steps[1]) if min(steps) > 0 else asked_pitch(path, options)
-    return height_map(path, "datx", heights * factor, pitch, "" if name.startswith("{") else name)
+    return height_map(path, heights * factor, pitch, "" if name.startswith("{") else name)

@@ -26,7 +26,6 @@ from nacre.readers.heights.surface import (
     length_um,
     numbers,
     quantity_um,
-    reads,
 )
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead
@@ -98,7 +97,6 @@ def _size_um(image: Section, scan: Mapping[str, str]) -> tuple[float, float]:
     return width, height
 
 
-@reads
 def read_nanoscope(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the channels that are heights; the last line measured is the first of the file.
 
@@ -139,7 +137,7 @@ def read_nanoscope(path: Path, options: ReadOptions) -> list[Measurement]:
         label = channel if direction in ("", "Trace") else f"{channel} ({direction})"
         aspect = _aspect(image)
         pitch = width / columns, (height if height != width or aspect == 1.0 else height / aspect) / rows
-        maps.append(height_map(path, "nanoscope", raw[::-1] * scale, pitch, label, {"date": merged.get("date", "")}))
+        maps.append(height_map(path, raw[::-1] * scale, pitch, label, {"date": merged.get("date", "")}))
     left = tuple(f"channel {name}: no height" for name in others)
     return [_with(one, left) for one in chosen(path, maps, others, options)]
 
@@ -167,7 +165,6 @@ def sniff_wsxm(head: FileHead) -> float:
     return CERTAIN if head.data.startswith(b"WSxM file copyright") and not is_points else 0.0
 
 
-@reads
 def read_wsxm(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; the file runs from the lower right point to the upper left one.
 
@@ -202,7 +199,7 @@ def read_wsxm(path: Path, options: ReadOptions) -> list[Measurement]:
     width = quantity_um(fields["X Amplitude"])
     height = quantity_um(fields.get("Y Amplitude", fields["X Amplitude"]))
     name = fields.get("Acquisition channel", "")
-    return [height_map(path, "wsxm", raw * scale, (width / columns, height / rows), name)]
+    return [height_map(path, raw * scale, (width / columns, height / rows), name)]
 
 
 def _matrix(path: Path, text: str, options: ReadOptions) -> Measurement:
@@ -224,7 +221,7 @@ def _matrix(path: Path, text: str, options: ReadOptions) -> Measurement:
     unit = (length_um(amplitude[1]) if len(amplitude) > 1 else None) or asked_unit(path, options, "heights")
     width = quantity_um(fields["X Amplitude"])
     pitch = width / heights.shape[1], quantity_um(fields.get("Y Amplitude", fields["X Amplitude"])) / len(rows)
-    return height_map(path, "wsxm", heights * unit, pitch)
+    return height_map(path, heights * unit, pitch)
 
 
 # JPK image scans (.jpk, .jpk-qi-image): TIFF files, one page per channel after a thumbnail.
@@ -256,7 +253,6 @@ def _tag(page: Any, code: int, default: Any = None) -> Any:
     return value.decode("latin-1").strip("\0 ") if isinstance(value, bytes) else value
 
 
-@reads
 def read_jpk(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the channels in units of length with a linear scale; the first line of the grid is the lowest."""
     import tifffile
@@ -284,7 +280,7 @@ def read_jpk(path: Path, options: ReadOptions) -> list[Measurement]:
                 values = values if _tag(page, REFLECT, _tag(first, REFLECT, 0)) else values[::-1]
                 pitch = size[0] / values.shape[1], size[1] / values.shape[0]
                 left = ("thumbnail",)
-                maps.append(height_map(path, "jpk", values, pitch, name, left_out=left))
+                maps.append(height_map(path, values, pitch, name, left_out=left))
     except tifffile.TiffFileError as error:
         raise ValueError(str(error)) from None
     return chosen(path, maps, others, options)
@@ -312,7 +308,6 @@ def sniff_ibw(head: FileHead) -> float:
     return CERTAIN if _order(head.data) else 0.0
 
 
-@reads
 def read_ibw(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the channels of heights; the first index runs along x, the second upward along y."""
     data = path.read_bytes()
@@ -348,7 +343,7 @@ def read_ibw(path: Path, options: ReadOptions) -> list[Measurement]:
             continue
         factor = asked_unit(path, options) if vertical is None else vertical
         apart = asked_pitch(path, options) if pitch is None else pitch
-        maps.append(height_map(path, "ibw", values[k][::-1].astype(float) * factor, apart, name))
+        maps.append(height_map(path, values[k][::-1].astype(float) * factor, apart, name))
     return chosen(path, maps, others, options)
 
 
@@ -374,7 +369,6 @@ def sniff_topostats(head: FileHead) -> float:
     return CERTAIN if TOPOSTATS_KEY in data else 0.0
 
 
-@reads
 def read_topostats(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the flattened image, or the original one if there is no other."""
     with opened(path) as file:
@@ -385,7 +379,7 @@ def read_topostats(path: Path, options: ReadOptions) -> list[Measurement]:
         pitch = float(np.ravel(scale[()])[0]) * 1e-3
         heights = np.asarray(image[()], dtype=float) * 1e-3
     left = [other for other in TOPOSTATS_IMAGES if other != name]
-    return [height_map(path, "topostats", heights, (pitch, pitch), name, left_out=left)]
+    return [height_map(path, heights, (pitch, pitch), name, left_out=left)]
 
 
 # Classic NetCDF files (.nc) with one two-dimensional variable of heights over x and y, as SurfaceTopography writes.
@@ -408,7 +402,6 @@ def _unit(variable: Any) -> str:
     return _text(getattr(variable, "unit", getattr(variable, "units", "")))
 
 
-@reads
 def read_netcdf(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read every variable over two axes; the first axis is x if it has the name x, else the rows."""
     from scipy.io import netcdf_file
@@ -431,7 +424,7 @@ def read_netcdf(path: Path, options: ReadOptions) -> list[Measurement]:
             pair = (pitch[0], pitch[1]) if None not in pitch else asked_pitch(path, options)
             if None in pair:
                 raise NacreError(f"{path}: states no positions of its points")
-            maps.append(height_map(path, "netcdf", values, (float(pair[0] or 0), float(pair[1] or 0)), name))
+            maps.append(height_map(path, values, (float(pair[0] or 0), float(pair[1] or 0)), name))
     return chosen(path, maps, others, options)
 
 
@@ -468,7 +461,6 @@ def sniff_bcr(head: FileHead) -> float:
     return CERTAIN if equals and key.strip() == BCR_FIRST and value.strip().startswith("bcr") else 0.0
 
 
-@reads
 def read_bcr(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map: floats in `zunit`, or integers times `bit2nm`; sides in `xunit` and `yunit`; nm unless stated."""
     data = path.read_bytes()
@@ -489,7 +481,7 @@ def read_bcr(path: Path, options: ReadOptions) -> list[Measurement]:
     x, y, z = (float(unit or 0.0) for unit in units)
     pitch = float(keys["xlength"]) * x / shape[1], float(keys["ylength"]) * y / shape[0]
     scale = float(keys.get("bit2nm", 1.0)) if kind == "i2" else 1.0
-    return [height_map(path, "bcr", values * scale * z, pitch)]
+    return [height_map(path, values * scale * z, pitch)]
 
 
 def _keys(text: str) -> dict[str, str]:
@@ -518,7 +510,6 @@ def sniff_spip(head: FileHead) -> float:
     return CERTAIN if SPIP_FIRST.match(head.text[:200].lstrip("\ufeff")) else 0.0
 
 
-@reads
 def read_spip(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map, and the mask for void points that may follow it.
 
@@ -540,7 +531,7 @@ def read_spip(path: Path, options: ReadOptions) -> list[Measurement]:
     if void:
         heights[values[count:].reshape(shape) != 0] = np.nan
     name = keys.get("display", keys.get("channel name", ""))
-    return [height_map(path, "spip", heights, _pitch(path, keys, shape, options), name)]
+    return [height_map(path, heights, _pitch(path, keys, shape, options), name)]
 
 
 def _parts(text: str) -> tuple[dict[str, str], list[str]]:
@@ -658,7 +649,6 @@ class _Tree:
         return [self.text() if kind == "S" else self.object(depth + 1) for _ in range(count)]
 
 
-@surface.reads
 def read_gwy(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the channels that are lengths; masked points are not taken away, since masks mark features too."""
     data = path.read_bytes()
@@ -680,7 +670,7 @@ def read_gwy(path: Path, options: ReadOptions) -> list[Measurement]:
         surface.check_shape(shape)
         heights = np.asarray(field["data"], dtype=float).reshape(shape) * vertical
         pitch = abs(field["xreal"]) / shape[1] * lateral, abs(field["yreal"]) / shape[0] * lateral
-        maps.append(surface.height_map(path, "gwy", heights, pitch, name))
+        maps.append(surface.height_map(path, heights, pitch, name))
     return surface.chosen(path, maps, others, options)
 
 
@@ -713,7 +703,6 @@ def _is_length(text: str) -> bool:
         return False
 
 
-@surface.reads
 def read_gwyddion_text(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read all blocks' maps; remarks are taken by their order, since Gwyddion translates their names.
 
@@ -742,7 +731,7 @@ def read_gwyddion_text(path: Path, options: ReadOptions) -> list[Measurement]:
         pitch = width / columns, height / len(rows)
         left = [f"channel {other}" for other in others]
         heights = values.reshape(len(rows), columns) * factor
-        maps.append(surface.height_map(path, "gwyddion-text", heights, pitch, name, left_out=left))
+        maps.append(surface.height_map(path, heights, pitch, name, left_out=left))
     return surface.chosen(path, maps, others, options)
 
 
@@ -769,7 +758,6 @@ def sniff_gsf(head: FileHead) -> float:
     return CERTAIN if head.data.startswith(GSF_MAGIC) else 0.0
 
 
-@surface.reads
 def read_gsf(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; units that the head lacks are asked for."""
     data = path.read_bytes()
@@ -789,4 +777,4 @@ def read_gsf(path: Path, options: ReadOptions) -> list[Measurement]:
         else (sides[0] * lateral / shape[1], sides[1] * lateral / shape[0])
     )  # fmt: skip
     heights = surface.array(data, "<f4", shape, end + 4 - end % 4).astype(float) * vertical
-    return [surface.height_map(path, "gsf", heights, pitch, keys.get("Title", ""))]
+    return [surface.height_map(path, heights, pitch, keys.get("Title", ""))]

@@ -1,15 +1,11 @@
 """What all readers of height maps share: length units, checks, channels, and the measurement they return."""
 
-import functools
 import re
-import struct
 import warnings
-import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import ParseError
 
 import numpy as np
 import scipy.fft
@@ -17,7 +13,6 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.core.files import plain, why_unreadable
 from nacre.core.machine import check_memory
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import open_file, recognise
@@ -35,12 +30,6 @@ BYTES_PER_POINT = 16
 HIGHEST_UM = 1e9
 SQUARE = 0.01  # relative difference of the pitches that is stated
 BAD = re.compile(r"\b(?:BAD|NA|N/A|null|void)\b|(?<!\S)-{2,}(?!\S)")
-DAMAGED = (
-    struct.error, ValueError, KeyError, IndexError, TypeError, OverflowError, EOFError, AttributeError, RuntimeError,
-    zipfile.BadZipFile, ParseError, NotImplementedError,
-)  # fmt: skip
-
-Reader = Callable[[Path, ReadOptions], list[Measurement]]
 
 
 def length_um(unit: str) -> float | None:
@@ -61,23 +50,6 @@ def quantity_um(text: str) -> float:
     if found is None or factor is None:
         raise ValueError(f'"{text.strip()[:30]}" is no length')
     return float(found[1].replace(",", ".")) * factor
-
-
-def reads(function: Reader) -> Reader:
-    """Report what is wrong with a damaged file as one `NacreError`."""
-
-    @functools.wraps(function)
-    def safe(path: Path, options: ReadOptions) -> list[Measurement]:
-        try:
-            return function(plain(path), options)
-        except NacreError:
-            raise
-        except OSError as error:
-            raise NacreError(f"{path}: {why_unreadable(error)}") from None
-        except DAMAGED as error:
-            raise NacreError(f"{path}: is damaged: {' '.join(str(error).split())[:120]}") from None
-
-    return safe
 
 
 def array(data: bytes, dtype: str, shape: tuple[int, int], offset: int = 0) -> NDArray[Any]:
@@ -185,7 +157,7 @@ def asked_pitch(path: Path, options: ReadOptions) -> tuple[float, float]:
 
 
 def height_map(
-    path: Path, format: str, heights_um: NDArray[Any], pitch_um: tuple[float, float], name: str = "",
+    path: Path, heights_um: NDArray[Any], pitch_um: tuple[float, float], name: str = "",
     metadata: Mapping[str, Any] | None = None, assumed: Sequence[str] = (), left_out: Sequence[str] = (),
 ) -> Measurement:  # fmt: skip
     """Return the measurement of one map.
@@ -214,9 +186,7 @@ def height_map(
     if abs(pitch[0] - pitch[1]) > SQUARE * pitch[0]:
         assumed = (*assumed, f"the points are {pitch[0]:.4g} x {pitch[1]:.4g} um apart, as the file says: not square")
     facts = {"pitch_um": pitch, "holes": holes, **figures, **(metadata or {})}
-    return Measurement(
-        path, format, "heights", {"height_um": heights}, name, facts, tuple(assumed), tuple(left_out)
-    )  # fmt: skip
+    return Measurement(path, "heights", {"height_um": heights}, name, facts, tuple(assumed), tuple(left_out))
 
 
 def check_pitch(pitch_um: tuple[float, float]) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.heights import surface
-from nacre.readers.heights.surface import array, asked_unit, check_shape, decoded, height_map, numbers, reads
+from nacre.readers.heights.surface import array, asked_unit, check_shape, decoded, height_map, numbers
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, POSSIBLE, FileHead
 
@@ -28,7 +28,6 @@ def sniff_nacre_heights(head: FileHead) -> float:
     return CERTAIN if head.lines and START.match(head.lines[0]) else 0.0
 
 
-@surface.reads
 def read_nacre_heights(path: Path, options: ReadOptions) -> list[Measurement]:
     """Return the heights as a picture, x to the right and y upward.
 
@@ -51,7 +50,7 @@ def read_nacre_heights(path: Path, options: ReadOptions) -> list[Measurement]:
     feature_um = float(stated[1]) if stated and stated[1] else _described(path)
     pitch = (feature_um, feature_um) if feature_um else surface.asked_pitch(path, options)
     picture = values.reshape(len(rows), width).T[::-1]
-    return [surface.height_map(path, "nacre-heights", picture, pitch, metadata={"is_period": True})]
+    return [surface.height_map(path, picture, pitch, metadata={"is_period": True})]
 
 
 def _described(path: Path) -> float | None:
@@ -75,7 +74,6 @@ def sniff_holography(head: FileHead) -> float:
     return CERTAIN if len(lines) > 1 and SIZE.match(lines[0]) and "pixel size" in lines[1] else 0.0
 
 
-@surface.reads
 def read_holography(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; h is the row count, w the column count."""
     text = surface.decoded(path.read_bytes())
@@ -100,7 +98,7 @@ def read_holography(path: Path, options: ReadOptions) -> list[Measurement]:
     if values.size != shape[0] * shape[1]:
         raise ValueError(f"its head states {shape[0]} x {shape[1]} heights, and {values.size} follow")
     facts = {"unit_in_file": unit, "um_per_unit": factor}
-    return [surface.height_map(path, "holography", values.reshape(shape) * factor, (pitch, pitch), metadata=facts)]
+    return [surface.height_map(path, values.reshape(shape) * factor, (pitch, pitch), metadata=facts)]
 
 
 # Points x y z of a rectangular grid as text, in any order.
@@ -153,7 +151,6 @@ def sniff_xyz(head: FileHead) -> float:
     return LIKELY if is_line else 0.0
 
 
-@surface.reads
 def read_xyz(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read points on a grid; missing ones are holes. Rows run along y, ascending.
 
@@ -183,9 +180,7 @@ def read_xyz(path: Path, options: ReadOptions) -> list[Measurement]:
     missing = int(np.isnan(heights).sum())
     assumed = [f"{missing} of {heights.size} points of the grid are not in the file and are holes"] if missing else []
     pitch = dx * factors[0], dy * factors[1]
-    return [
-        surface.height_map(path, "xyz", heights * factors[2], pitch, metadata={"rows": "y ascending"}, assumed=assumed)
-    ]
+    return [surface.height_map(path, heights * factors[2], pitch, metadata={"rows": "y ascending"}, assumed=assumed)]
 
 
 def _units(heading: str) -> list[float | None]:
@@ -271,7 +266,6 @@ def sniff_matrix(head: FileHead) -> float:
     return 0.5 * POSSIBLE if rises else 1.5 * POSSIBLE
 
 
-@surface.reads
 def read_matrix(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the matrix with the unit and the pitch of the options.
 
@@ -289,11 +283,11 @@ def read_matrix(path: Path, options: ReadOptions) -> list[Measurement]:
     values = values.reshape(len(rows), columns)
     steps, factor = _coordinate_steps(values), surface.asked_unit(path, options)
     if steps is None:
-        return [surface.height_map(path, "matrix", values * factor, surface.asked_pitch(path, options))]
+        return [surface.height_map(path, values * factor, surface.asked_pitch(path, options))]
     said = f"the first row and column are coordinates in steps of {steps[0]:g} and {steps[1]:g}"
     if options.pitch_um is None:
         raise AmbiguousFileError(f"{path}: {said} without a unit; state the steps in um: pitch_um", "pitch_um")
-    return [surface.height_map(path, "matrix", values[1:, 1:] * factor, options.pitch_um, left_out=[said])]
+    return [surface.height_map(path, values[1:, 1:] * factor, options.pitch_um, left_out=[said])]
 
 
 # Line profiles of stylus instruments, which are no height maps: recognised in order to be refused by name.
@@ -332,7 +326,6 @@ def sniff_profile(head: FileHead) -> float:
     return LIKELY if is_even and values[0] == 0.0 and values[-2] < LARGEST_M else 0.0
 
 
-@surface.reads
 def read_profile(path: Path, options: ReadOptions) -> list[Measurement]:
     """Refuse the profile.
 
@@ -361,7 +354,6 @@ def sniff_grid(head: FileHead) -> float:
     return CERTAIN if is_text or head.data[:4] in (b"DSBB", b"DSRB") else 0.0
 
 
-@reads
 def read_grid(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; the unit is asked for, and holds for x and y too unless `pitch_um` states their distance."""
     data = path.read_bytes()
@@ -370,7 +362,7 @@ def read_grid(path: Path, options: ReadOptions) -> list[Measurement]:
     unit = asked_unit(path, options)
     pitch = options.pitch_um or (steps[0] * unit, steps[1] * unit)
     assumed = () if options.pitch_um else ("x and y have the unit of the heights",)
-    return [height_map(path, "grid", heights * unit, pitch, assumed=assumed)]
+    return [height_map(path, heights * unit, pitch, assumed=assumed)]
 
 
 def _steps(shape: tuple[int, int], x: tuple[float, float], y: tuple[float, float]) -> tuple[float, float]:

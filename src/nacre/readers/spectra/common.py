@@ -461,7 +461,6 @@ def scale(path: Path, label: Label, nm: Array, values: Array, notes: Notes) -> f
 
 def spectrum(
     path: Path,
-    format: str,
     x: ArrayLike,
     y: ArrayLike,
     label: Label,
@@ -512,7 +511,7 @@ def spectrum(
     in_visible = typical(data["wavelength_nm"], data[label.quantity])
     if label.quantity in ("reflectance", "transmittance") and in_visible > 1.0:
         notes.assumed.append(f"values above 1 (up to {largest:.4g}) are kept: the sample exceeds the reference")
-    return Measurement(path, format, "spectrum", data, name, about, tuple(notes.assumed), tuple(notes.left_out))
+    return Measurement(path, "spectrum", data, name, about, tuple(notes.assumed), tuple(notes.left_out))
 
 
 def _geometry(metadata: Mapping[str, Any]) -> dict[str, str]:

@@ -64,8 +64,8 @@ def read_opus(path: Path, options: ReadOptions) -> list[Measurement]:
         metadata = {"date": str(status.get("DAT", "")), "time": str(status.get("TIM", ""))}
         found.append(
             common.spectrum(
-                path, "opus", x, values, label, options, unit=unit, name=sample, metadata=metadata,
-                notes=Notes(left_out=notes.left_out),
+                path, x, values, label, options, unit=unit, name=sample, metadata=metadata,
+                notes=Notes(left_out=notes.left_out)
             )
         )  # fmt: skip
     if not found:
@@ -147,7 +147,7 @@ def read_bruker_dpt(path: Path, options: ReadOptions) -> list[Measurement]:
         choices = ("reflectance", "transmittance", "absorbance", "counts")
         raise AmbiguousFileError(f"{path}: no quantity in a .dpt, values up to {size:.4g}", "quantity", choices)
     notes = Notes()
-    return [common.spectrum(path, "bruker-dpt", table[:, 0], table[:, 1], label, options, unit=unit, notes=notes)]
+    return [common.spectrum(path, table[:, 0], table[:, 1], label, options, unit=unit, notes=notes)]
 
 
 # PerkinElmer: UV WinLab text and .sp files.
@@ -188,19 +188,7 @@ def read_perkinelmer_text(path: Path, options: ReadOptions) -> list[Measurement]
         raise NacreError(f'{path}: "{x_label}" is no unit of a spectrum')
     notes = Notes()
     label = common.named_quantity(path, options, y_label, common.nanometres(table[:, 0], unit), table[:, 1], notes)
-    return [
-        common.spectrum(
-            path,
-            "perkinelmer-text",
-            table[:, 0],
-            table[:, 1],
-            label,
-            options,
-            unit=unit,
-            metadata=metadata,
-            notes=notes,
-        )
-    ]
+    return [common.spectrum(path, table[:, 0], table[:, 1], label, options, unit=unit, metadata=metadata, notes=notes)]
 
 
 def _preamble(path: Path, lines: list[str]) -> tuple[str, str, str, int, dict[str, str]]:
@@ -254,11 +242,7 @@ def read_perkinelmer_sp(path: Path, options: ReadOptions) -> list[Measurement]:
     label = common.named_quantity(path, options, y_label, common.nanometres(x, unit), values, notes)
     metadata: dict[str, Any] = {"description": data[4:44].split(b"\0")[0].decode("latin-1").strip()}
     name = _text(members.get(_NAME, b"\0\0"))
-    return [
-        common.spectrum(
-            path, "perkinelmer-sp", x, values, label, options, unit=unit, name=name, metadata=metadata, notes=notes
-        )
-    ]
+    return [common.spectrum(path, x, values, label, options, unit=unit, name=name, metadata=metadata, notes=notes)]
 
 
 def _members(data: bytes) -> dict[int, bytes]:
@@ -332,8 +316,8 @@ def read_jasco_text(path: Path, options: ReadOptions) -> list[Measurement]:
             label = common.named_quantity(path, options, units, nm, table[:, column], notes)
         spectra.append(
             common.spectrum(
-                path, "jasco-text", table[:, 0], table[:, column], label, options, unit=unit,
-                name=records.get("TITLE", ""), metadata=metadata, notes=notes,
+                path, table[:, 0], table[:, column], label, options, unit=unit,
+                name=records.get("TITLE", ""), metadata=metadata, notes=notes
             )
         )  # fmt: skip
     return common.choose(path, spectra, options)
@@ -486,7 +470,7 @@ def read_jasco_jws(path: Path, options: ReadOptions) -> list[Measurement]:
             f"{path}: no quantity in the file; per cent by size", "quantity", ("reflectance (%)", "transmittance (%)")
         )
     notes.left_out += [f"channel {number}" for number in range(2, channels + 1)]
-    return [common.spectrum(path, "jasco-jws", x, table[0], label, options, unit=unit, notes=notes)]
+    return [common.spectrum(path, x, table[0], label, options, unit=unit, notes=notes)]
 
 
 # Woollam text of reflected and transmitted intensity: rows led by uR, uT, pR, sR, pT or sT.
@@ -534,9 +518,9 @@ def read_woollam_intensity(path: Path, options: ReadOptions) -> list[Measurement
         own = Notes(list(notes.assumed))
         found.append(
             common.spectrum(
-                path, "woollam-intensity", table[:, 0], table[:, 2], Label(QUANTITIES[quantity], 1.0), options,
+                path, table[:, 0], table[:, 2], Label(QUANTITIES[quantity], 1.0), options,
                 unit=unit, name=f"{polarisation}{quantity} {angle:g} deg", metadata=metadata, notes=own, error=error,
-                more={"angle_of_incidence_deg": table[:, 1]},
+                more={"angle_of_incidence_deg": table[:, 1]}
             )
         )  # fmt: skip
     return common.choose(path, found, options)

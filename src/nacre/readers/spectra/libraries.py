@@ -88,8 +88,8 @@ def read_usgs_splib(path: Path, options: ReadOptions) -> list[Measurement]:
                 "measurement": _KINDS.get(kind, kind), "wavelengths": source.name}  # fmt: skip
     return [
         common.spectrum(
-            path, "usgs-splib", um[kept], page.values[kept], label, options, unit="um", name=name, metadata=metadata,
-            notes=notes,
+            path, um[kept], page.values[kept], label, options, unit="um", name=name, metadata=metadata,
+            notes=notes
         )
     ]  # fmt: skip
 
@@ -233,8 +233,8 @@ def read_aster(path: Path, options: ReadOptions) -> list[Measurement]:
     label = common.named_quantity(path, options, units["Y"], nm, table[:, 1], notes)
     return [
         common.spectrum(
-            path, "aster", table[:, 0], table[:, 1], label, options, unit=unit, name=metadata.get("Name", ""),
-            metadata=metadata, notes=notes,
+            path, table[:, 0], table[:, 1], label, options, unit=unit, name=metadata.get("Name", ""),
+            metadata=metadata, notes=notes
         )
     ]  # fmt: skip
 
@@ -350,8 +350,8 @@ def _reflectance(path: Path, roles: dict[str, Block], options: ReadOptions) -> M
         label = Label("reflectance", 0.01)
     counts = {"sample_counts": sample, "dark_counts": dark, "reference_counts": reference}
     return common.spectrum(
-        path, "jcamp", nm, values, label, options, unit=unit, name=block.records.get("TITLE", ""),
-        metadata=_metadata(block), notes=notes, more=counts,
+        path, nm, values, label, options, unit=unit, name=block.records.get("TITLE", ""),
+        metadata=_metadata(block), notes=notes, more=counts
     )  # fmt: skip
 
 
@@ -372,9 +372,7 @@ def _spectrum(path: Path, block: Block, label: Label | None, options: ReadOption
     elif label.factor == 0.01 and common.typical(nm, y) > 1000:
         raise NacreError(f"{path}: YUNITS = {units}, but the values are counts up to {common.typical(nm, y):.5g}")
     name = block.records.get("TITLE", "")
-    return common.spectrum(
-        path, "jcamp", x, y, label, options, unit=unit, name=name, metadata=_metadata(block), notes=notes
-    )
+    return common.spectrum(path, x, y, label, options, unit=unit, name=name, metadata=_metadata(block), notes=notes)
 
 
 def _metadata(block: Block) -> dict[str, str]:
@@ -568,16 +566,7 @@ def read_grams_spc(path: Path, options: ReadOptions) -> list[Measurement]:
         name = head.comment if head.spectra == 1 else str(number)
         spectra.append(
             common.spectrum(
-                path,
-                "grams-spc",
-                x,
-                y,
-                label,
-                options,
-                unit=found,
-                name=name,
-                metadata={"comment": head.comment},
-                notes=own,
+                path, x, y, label, options, unit=found, name=name, metadata={"comment": head.comment}, notes=own
             )
         )
     return common.choose(path, spectra, options)

@@ -70,9 +70,7 @@ def read_asd_text(path: Path, options: ReadOptions) -> list[Measurement]:
             notes.assumed.append("reflectance as a factor, as ViewSpec exports it")
         name = names[column].strip() if column < len(names) else ""
         spectra.append(
-            common.spectrum(
-                path, "asd-text", block.table[:, 0], values, label, options, name=name, metadata=metadata, notes=notes
-            )
+            common.spectrum(path, block.table[:, 0], values, label, options, name=name, metadata=metadata, notes=notes)
         )
     return common.choose(path, spectra, options)
 
@@ -117,8 +115,8 @@ def read_licor_prn(path: Path, options: ReadOptions) -> list[Measurement]:
         notes.assumed.append(f'{named.quantity} as a factor, from the remark "{metadata["rem"]}"')
     return [
         common.spectrum(
-            path, "licor-prn", table[:, 0], table[:, 1], label, options, name=metadata.get("file", ""),
-            metadata=metadata, notes=notes,
+            path, table[:, 0], table[:, 1], label, options, name=metadata.get("file", ""),
+            metadata=metadata, notes=notes
         )
     ]  # fmt: skip
 
@@ -149,8 +147,8 @@ def read_svc_sig(path: Path, options: ReadOptions) -> list[Measurement]:
     label = Label("reflectance", 0.01)
     return [
         common.spectrum(
-            path, "svc-sig", table[:, 0], table[:, 3], label, options, name=metadata.get("name", ""),
-            metadata=metadata, notes=notes,
+            path, table[:, 0], table[:, 3], label, options, name=metadata.get("name", ""),
+            metadata=metadata, notes=notes
         )
     ]  # fmt: skip
 
@@ -200,11 +198,7 @@ def read_stellarnet(path: Path, options: ReadOptions) -> list[Measurement]:
     metadata = {_MEANINGS[key]: value for key, value in _KEY.findall(" ".join(head[1:2])) if key in _MEANINGS}
     name = re.split(r"[\\/]", head[0].split(":", 1)[1].strip())[-1] if head and ":" in head[0] else ""
     metadata["view"] = view
-    return [
-        common.spectrum(
-            path, "stellarnet", table[:, 0], table[:, 1], label, options, name=name, metadata=metadata, notes=notes
-        )
-    ]
+    return [common.spectrum(path, table[:, 0], table[:, 1], label, options, name=name, metadata=metadata, notes=notes)]
 
 
 def _label(path: Path, view: str, options: ReadOptions, notes: Notes) -> Label:
@@ -255,9 +249,7 @@ def read_craic_text(path: Path, options: ReadOptions) -> list[Measurement]:
     settings = next((line for line in head if _SETTINGS.search(line)), "")
     metadata = {"settings": settings}
     return [
-        common.spectrum(
-            path, "craic-text", nm, values, label, options, name=head[0] if head else "", metadata=metadata, notes=notes
-        )
+        common.spectrum(path, nm, values, label, options, name=head[0] if head else "", metadata=metadata, notes=notes)
     ]
 
 
@@ -313,18 +305,14 @@ def read_avantes_text(path: Path, options: ReadOptions) -> list[Measurement]:
     if len(same) > 1 and names[-1]:  # one column a measurement
         spectra = [
             common.spectrum(
-                path, "avantes-text", table[:, 0], table[:, place], label, options, name=f"{names[place]} {count}",
-                metadata=metadata, notes=Notes(list(notes.assumed), list(notes.left_out)),
+                path, table[:, 0], table[:, place], label, options, name=f"{names[place]} {count}",
+                metadata=metadata, notes=Notes(list(notes.assumed), list(notes.left_out))
             )
             for count, place in enumerate(same, start=1)
         ]  # fmt: skip
         return common.choose(path, spectra, options)
     more = {f"{role}_counts": column for role, column in counts.items()} if label.quantity != "counts" else None
-    return [
-        common.spectrum(
-            path, "avantes-text", table[:, 0], values, label, options, metadata=metadata, notes=notes, more=more
-        )
-    ]
+    return [common.spectrum(path, table[:, 0], values, label, options, metadata=metadata, notes=notes, more=more)]
 
 
 def _counts(names: list[str], units: list[str], table: Array) -> dict[str, Array]:
@@ -418,19 +406,15 @@ def _measurement(
         values = common.ratio(sample, dark, reference)
         counts = {"sample_counts": sample, "dark_counts": dark, "reference_counts": reference}
         return common.spectrum(
-            path, "avantes-binary", nm, values, Label(quantity, 1.0), options, name=name, metadata=metadata, more=counts
+            path, nm, values, Label(quantity, 1.0), options, name=name, metadata=metadata, more=counts
         )
     if quantity == "absorbance" and has_reference:
         with np.errstate(divide="ignore", invalid="ignore"):
             values = -np.log10(common.ratio(sample, dark, reference))
-        return common.spectrum(
-            path, "avantes-binary", nm, values, Label("absorbance", 1.0), options, name=name, metadata=metadata
-        )
+        return common.spectrum(path, nm, values, Label("absorbance", 1.0), options, name=name, metadata=metadata)
     if quantity == "irradiance":
         raise NacreError(f"{path}: is an irradiance, whose calibration is not in the file; export text")
-    return common.spectrum(
-        path, "avantes-binary", nm, sample, Label("counts", 1.0), options, name=name, metadata=metadata
-    )
+    return common.spectrum(path, nm, sample, Label("counts", 1.0), options, name=name, metadata=metadata)
 
 
 def _layout(data: bytes, size: int) -> tuple[int, int, int, int] | None:
@@ -471,9 +455,7 @@ def _version_6_7(path: Path, data: bytes, options: ReadOptions) -> Measurement:
     }
     notes = Notes()
     if columns == 1:
-        return common.spectrum(
-            path, "avantes-binary", nm, table[:, 0], Label("counts", 1.0), options, metadata=metadata, notes=notes
-        )
+        return common.spectrum(path, nm, table[:, 0], Label("counts", 1.0), options, metadata=metadata, notes=notes)
     sample, reference, dark = table.T
     notes.assumed.append(
         'reflectance = (sample - dark) / (reference - dark); quantity = "transmittance" states otherwise'
@@ -485,9 +467,7 @@ def _version_6_7(path: Path, data: bytes, options: ReadOptions) -> Measurement:
         with np.errstate(divide="ignore", invalid="ignore"):
             values = -np.log10(values)
     counts = {"sample_counts": sample, "dark_counts": dark, "reference_counts": reference}
-    return common.spectrum(
-        path, "avantes-binary", nm, values, label, options, metadata=metadata, notes=notes, more=counts
-    )
+    return common.spectrum(path, nm, values, label, options, metadata=metadata, notes=notes, more=counts)
 
 
 def _name(raw: bytes) -> str:
@@ -580,8 +560,8 @@ def _ocean_measurement(
             notes.assumed.append("the processed column differs from (sample - dark) / (reference - dark); it was read")
     more = {f"{part}_counts": columns[part] for part in parts if part in columns and label.quantity != "counts"}
     return common.spectrum(
-        path, "ocean-text", nm, values, label, options, metadata=metadata, notes=notes,
-        more=more if "processed" in columns else None,
+        path, nm, values, label, options, metadata=metadata, notes=notes,
+        more=more if "processed" in columns else None
     )  # fmt: skip
 
 
@@ -671,7 +651,7 @@ def read_ocean_procspec(path: Path, options: ReadOptions) -> list[Measurement]:
         )
     keys = ("spectrometerSerialNumber", "userName", "integrationTime", "scansToAverage", "boxcarWidth")
     metadata = {key: found[1] for key in keys if (found := re.search(rf"<{key}>([^<]*)</{key}>", xml))}
-    return [common.spectrum(path, "ocean-procspec", nm, values, label, options, metadata=metadata, notes=notes)]
+    return [common.spectrum(path, nm, values, label, options, metadata=metadata, notes=notes)]
 
 
 def _inside(xml: str, tag: str) -> str:
@@ -722,8 +702,8 @@ def read_qtx(path: Path, options: ReadOptions) -> list[Measurement]:
         metadata = {word.lower(): section[word] for word in ("VIEWING", "DATETIME", "GLOSS") if section.get(word)}
         found.append(
             common.spectrum(
-                path, "qtx", start + step * np.arange(len(values)), np.array(values, dtype=float), label, options,
-                name=name, metadata=metadata, notes=Notes(),
+                path, start + step * np.arange(len(values)), np.array(values, dtype=float), label, options,
+                name=name, metadata=metadata, notes=Notes()
             )
         )  # fmt: skip
     return common.choose(path, found, options)

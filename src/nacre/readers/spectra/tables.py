@@ -263,9 +263,7 @@ def _plain(
     label = common.named_quantity(path, options, ordinate, nm, columns[0], notes, "no heading")
     if columns[1] is not None:
         notes.assumed.append("the third column is the standard error, because it is small beside the second")
-    return common.spectrum(
-        path, "spectrum-table", table[:, 0], columns[0], label, options, unit=unit, notes=notes, error=columns[1]
-    )
+    return common.spectrum(path, table[:, 0], columns[0], label, options, unit=unit, notes=notes, error=columns[1])
 
 
 def _pairs(
@@ -446,7 +444,7 @@ def _one(
     if unit is None or (unit == "nm" and "nm" not in x_name.lower() and "nanomet" not in x_name.lower()):
         unit = common.assumed_unit(path, x, notes, options, x_name)
     return common.spectrum(
-        path, "spectrum-table", x, y, label, options, unit=unit, name=title, metadata=metadata, notes=notes, error=error
+        path, x, y, label, options, unit=unit, name=title, metadata=metadata, notes=notes, error=error
     )
 
 
@@ -496,8 +494,8 @@ def _read_across(
         own_notes = Notes(list(notes.assumed), list(notes.left_out))
         found.append(
             common.spectrum(
-                path, "spectrum-table", grid, values, label, options, unit=unit, name=title, metadata=others[number],
-                notes=own_notes,
+                path, grid, values, label, options, unit=unit, name=title, metadata=others[number],
+                notes=own_notes
             )
         )  # fmt: skip
     return found
