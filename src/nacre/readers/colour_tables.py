@@ -26,7 +26,7 @@ from nacre.light import (
 )
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead
-from nacre.readers.spectra.common import blocks, number, read_text
+from nacre.readers.spectra.common import blocks, number, read_lines
 
 LEAST_OF_8_BITS = 90.0  # a* and b* of all colours above it are values of 8 bits, of which 128 is neutral
 _QUANTITIES = {"spectra", "reflectance", "srgb", "L", "X"}
@@ -243,7 +243,7 @@ def read_cgats(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: the file is cut, holds emission spectra, or no colour (device values only).
     """
-    lines = [line.rstrip() for line in read_text(path).lines]
+    lines = [line.rstrip() for line in read_lines(path)]
     first = next(line for line in lines if line.strip()).split()[0]
     if first in EMISSION:
         what = "spectra that a display emits" if first == "CCSS" else "a correction of a colorimeter"
@@ -466,7 +466,7 @@ def read_icc_text(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: spectra (the file states no wavelengths), device values, or another encoding.
     """
-    lines = [line for line in read_text(path).lines if line.strip()]
+    lines = [line for line in read_lines(path) if line.strip()]
     match = _SIGNATURE.match(lines[0])
     signature = match[1] if match else ""
     if re.fullmatch(r"[a-z]{2}[0-9a-fA-F]{4}", signature):
@@ -522,7 +522,7 @@ def read_colour_table(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: a row has other cells than headings, or R, G, B are neither 0 to 1 nor 0 to 255.
     """
-    lines = [line for line in read_text(path).lines if line.strip()]
+    lines = [line for line in read_lines(path) if line.strip()]
     start = _start(lines)
     fields = None if start is None else _fields(_table_cells(lines[start]))
     if start is None or fields is None:

@@ -14,7 +14,17 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.readers.ellipsometry_units import UNITS, ellipsometry, numbers, same_length, text_lines, to_nm, within
+from nacre.readers.ellipsometry_units import (
+    UNITS,
+    ellipsometry,
+    numbers,
+    row_of,
+    same_length,
+    text_lines,
+    to_nm,
+    within,
+)
+from nacre.readers.hdf5 import HDF5_MAGIC, text_of
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead
 
@@ -247,7 +257,7 @@ def _dynamic(
 
 SECTION = re.compile(r"^#\s*([^:]+?)\s*:?\s*$")
 NAMES = {"psi": "psi_deg", "delta": "delta_deg", "is": "ncs_s", "ic": "ncs_c"}
-MUELLER = re.compile(r"m([1-4])([1-4])$")
+MUELLER = [f"m{i}{j}" for i in range(1, 5) for j in range(1, 5)]
 
 
 def sniff_horiba(head: FileHead) -> float:
@@ -280,19 +290,13 @@ def read_horiba(path: Path, options: ReadOptions) -> list[Measurement]:
     heading = [word.lower() for word in body[0][1].split()]
     if heading[0] not in UNITS:
         raise NacreError(f"{path}: the first column {heading[0]!r} is not a wavelength in a known unit")
-    rows = []
-    for number, line in body[1:]:
-        row = numbers(line)
-        if row is None:
-            raise NacreError(f"{path}: line {number} is not a row of numbers: {line[:60]!r}")
-        rows.append((number, row))
-    table = same_length(path, rows)
+    table = same_length(path, [(number, row_of(path, number, line)) for number, line in body[1:]])
     if table.shape[1] != len(heading):
         raise NacreError(f"{path}: the heading names {len(heading)} columns, the rows have {table.shape[1]}")
     columns = {"wavelength_nm": to_nm(table[:, 0], options.unit or heading[0], str(path))}
     left_out = []
     for i, word in enumerate(heading[1:], 1):
-        key = NAMES.get(word, word if MUELLER.match(word) else None)
+        key = NAMES.get(word, word if word in MUELLER else None)
         if key is None:
             left_out.append(f"column {word}")
         else:
@@ -338,9 +342,7 @@ def read_regress_pro(path: Path, options: ReadOptions) -> list[Measurement]:
         if not words:
             continue
         text = words[1].replace(",", ".") if len(words) == 2 else " ".join(words[1:])
-        values = numbers(text)
-        if values is None:
-            raise NacreError(f"{path}: line {number} is not a row of numbers: {line.strip()[:60]!r}")
+        values = row_of(path, number, line, text)
         if words[0].upper() == "SE":
             rows.append((number, values))
         else:
@@ -419,13 +421,11 @@ def read_spectraray(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(f"{path}: has no heading of SpectraRay, such as ; WAVELENGTH 70 70")
     match = HEADING.match(lines[start])
     angles = bare or numbers(match[2] if match else "") or []
-    rows = []
-    for number, line in enumerate(lines[start + 1 :], start + 2):
-        if line.strip() and not line.lstrip().startswith(";"):
-            values = numbers(line.rstrip("\t,; ") if bare else line)
-            if values is None:
-                raise NacreError(f"{path}: line {number} is not a row of numbers: {line.strip()[:60]!r}")
-            rows.append((number, values))
+    rows = [
+        (number, row_of(path, number, line, line.rstrip("\t,; ") if bare else line))
+        for number, line in enumerate(lines[start + 1 :], start + 2)
+        if line.strip() and not line.lstrip().startswith(";")
+    ]
     table = same_length(path, rows)
     if table.shape[1] != len(angles) + 1:
         raise NacreError(f"{path}: the heading names {len(angles)} columns, the rows have {table.shape[1] - 1}")
@@ -446,7 +446,7 @@ def read_spectraray(path: Path, options: ReadOptions) -> list[Measurement]:
         if table[:, 1::2].max() > MOST_PSI_DEG or table[:, 1::2].min() < 0.0:
             raise NacreError(f"{path}: the first column of an angle reaches {table[:, 1::2].max():g}; Psi is 0 to 90")
         assumed.append("of each angle the first column is Psi and the second Delta, in degrees")
-    names = ["psi_deg", "delta_deg"] if count == 2 else [f"m{i}{j}" for i in range(1, 5) for j in range(1, 5)]
+    names = ["psi_deg", "delta_deg"] if count == 2 else MUELLER
     cube = table[:, 1:].reshape(len(table), len(groups), count)
     columns = {
         "wavelength_nm": np.tile(wavelength, len(groups)),
@@ -499,7 +499,6 @@ def read_nacre_ellipsometry(path: Path, options: ReadOptions) -> list[Measuremen
 # Older draft: `sample/measured_data` [1, 1, angle, psi or delta, wavelength]; later: `data_collection/measured_data`
 # [angle, psi or delta, wavelength]. Units come from the attribute `units`; a wavelength without one is in angstrom.
 
-MAGIC = b"\x89HDF\r\n\x1a\n"
 DATA = ("sample/measured_data", "data_collection/measured_data")
 TYPES = ("sample/data_type", "data_collection/data_type")
 WAVELENGTHS = (
@@ -512,12 +511,11 @@ NEXUS_NAMES = (
     "start_time",
 )  # fmt: skip
 COLUMNS = ("sample/column_names", "data_collection/column_names")
-NEXUS_MUELLER = [f"m{i}{j}" for i in range(1, 5) for j in range(1, 5)]
 
 
 def sniff_nexus_ellipsometry(head: FileHead) -> float:
     """Return the confidence that a file is such a file."""
-    if not head.data.startswith(MAGIC):
+    if not head.data.startswith(HDF5_MAGIC):
         return 0.0
     import h5py
 
@@ -533,10 +531,7 @@ def _is_ellipsometry(entry: Any) -> bool:
 
 
 def _text(entry: Any, path: str) -> str:
-    if path not in entry:
-        return ""
-    value = entry[path][()]
-    return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
+    return text_of(entry[path][()]) if path in entry else ""
 
 
 def read_nexus_ellipsometry(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -573,14 +568,14 @@ def _entry(path: Path, entry: Any, name: str, options: ReadOptions) -> Measureme
     angles = np.atleast_1d(np.asarray(angle[()], dtype=float))
     names = {"psi/delta": ["psi_deg", "delta_deg"], "tan(psi)/cos(delta)": ["tan_psi", "cos_delta"]}.get(kind)
     if names is None and kind in ("muellermatrix", "mueller"):
-        names = NEXUS_MUELLER
+        names = MUELLER
     if names is None:
         raise NacreError(
             f"{path}: data_type = {kind!r} is not known; allowed: psi/delta, tan(psi)/cos(delta), Mueller matrix"
         )
     columns_of = _first(entry, COLUMNS)
     if columns_of is not None and kind == "psi/delta":
-        written = [str(each, "utf-8") if isinstance(each, bytes) else str(each) for each in np.ravel(columns_of[()])]
+        written = [text_of(each) for each in np.ravel(columns_of[()])]
         if sorted(word.lower() for word in written) == ["delta", "psi"]:
             names = [f"{word.lower()}_deg" for word in written]
     table = np.asarray(data[()], dtype=float)
@@ -626,11 +621,8 @@ POWERS = {
     "ut": ("transmittance", "both"), "st": ("transmittance", "s"), "pt": ("transmittance", "p"),
 }  # fmt: skip
 DEPOLARISATION = "dpole"
-PSI_DELTA = (
-    "",
-    "e",
-    "ane",
-)  # AnE: r_pp / r_ss of an anisotropic sample, beside Aps = r_ps / r_pp and Asp = r_sp / r_ss
+# AnE: r_pp / r_ss of an anisotropic sample, beside Aps = r_ps / r_pp and Asp = r_sp / r_ss
+PSI_DELTA = ("", "e", "ane")
 ROW = re.compile(r"\s*([A-Za-z]\w*)?\s*[-+.\deE]+\s+[-+.\deE]+\s+[-+.\d]")
 WOOLLAM_MUELLER = re.compile(r"mm([1-4])([1-4])$")
 
@@ -689,10 +681,7 @@ def _rows(path: Path, lines: Sequence[str], first: int) -> dict[str, list[tuple[
             continue
         match = re.match(r"\s*([A-Za-z]\w*)?\s*(.*)$", line)
         assert match is not None
-        values = numbers(match[2])
-        if values is None:
-            raise NacreError(f"{path}: line {number} is not a row of numbers: {line.strip()[:60]!r}")
-        found.setdefault((match[1] or "").lower(), []).append((number, values))
+        found.setdefault((match[1] or "").lower(), []).append((number, row_of(path, number, line, match[2])))
     return found
 
 
@@ -792,10 +781,7 @@ def _heading(lines: list[str]) -> tuple[int, str, bool] | None:
     """Return line number, unit, and whether the columns are tan Psi and cos Delta."""
     for i, line in enumerate(lines[:WOOLLAM_TEXT_HEAD_LINES]):
         words = line.split()
-        if line[:1] == "\t" and [word.lower() for word in words] in (
-            ["aoi", "psi", "delta"],
-            ["angle", "psi", "delta"],
-        ):
+        if re.fullmatch(r"\t\s*(aoi|angle)\s+psi\s+delta\s*", line, re.IGNORECASE):
             return i, "", False  # the wavelength has no name
         if not words or words[0].lower() not in UNITS or numbers(line) is not None:
             continue
@@ -839,14 +825,8 @@ def read_woollam_text(path: Path, options: ReadOptions) -> list[Measurement]:
         assumed.append(f"the first column has no heading: the wavelength in {unit}")
     if heading is None:
         assumed.append("the file has no heading: the columns are taken as wavelength, angle of incidence, Psi, Delta")
-    rows = []
-    for number, line in enumerate(lines[first:], first + 1):
-        if not line.strip():
-            continue
-        values_of_line = numbers(line)
-        if values_of_line is None:
-            raise NacreError(f"{path}: line {number} is not a row of numbers: {line.strip()[:60]!r}")
-        rows.append((number, values_of_line))
+    numbered = enumerate(lines[first:], first + 1)
+    rows = [(number, row_of(path, number, line)) for number, line in numbered if line.strip()]
     columns = psi_delta_columns(path, same_length(path, rows), unit, trig)
     metadata = {"unit_in_file": unit, "comment": " ".join(lines[: max(first - 1, 0)]).strip()}
     return [ellipsometry(path, columns, options, maker="WVASE", metadata=metadata, assumed=assumed)]

@@ -67,6 +67,21 @@ def numbers(text: str) -> list[float] | None:
         return None
 
 
+def row_of(path: Path, number: int, line: str, text: str | None = None) -> list[float]:
+    """Return the numbers of a numbered line.
+
+    Args:
+        text: its part that holds the numbers; default: all.
+
+    Raises:
+        NacreError: a cell is not a number.
+    """
+    values = numbers(line if text is None else text)
+    if values is None:
+        raise NacreError(f"{path}: line {number} is not a row of numbers: {line.strip()[:60]!r}")
+    return values
+
+
 def to_nm(values: Array, unit: str, where: str) -> Array:
     """Return wavelengths in nm.
 

@@ -61,6 +61,7 @@ _SUFFIX_UNIT = re.compile(
 )  # fmt: skip
 _BARE_UNITS = _by_word(VOCABULARY["bare_units"])
 _FILLERS = frozenset(VOCABULARY["lists"]["fillers"].split())
+_BRACKET_FILLERS = frozenset(VOCABULARY["lists"]["bracket_fillers"].split())
 
 
 @dataclass(frozen=True)
@@ -206,14 +207,12 @@ def _qualifier(part: str, base: Meaning) -> Meaning | None:
         if base.illuminant and value in (2.0, 10.0):
             return replace(base, observer=f"{value:g}")
         return replace(base, angle_deg=value) if base.angle_deg is None else None
-    if word in _POLARISATIONS:
-        return replace(base, polarisation=_POLARISATIONS[word])
-    if word in _MODES:
-        return replace(base, mode=_MODES[word])
     if word in ("hunter", "hunterlab"):
         return replace(base, mode="hunter")
-    if word in ERROR_WORDS or part in ("±", "+/-"):
+    if part in ("±", "+/-"):
         return replace(base, is_error=True)
+    if (measured := _how_measured(word, base)) is not None:
+        return measured
     if word in ILLUMINANT_WORDS:
         moved = replace(base, illuminant=ILLUMINANT_WORDS[word])
         if moved.angle_deg in (2.0, 10.0):  # "10°/D65": the observer stands first
@@ -221,23 +220,16 @@ def _qualifier(part: str, base: Meaning) -> Meaning | None:
         return moved
     if word in ("2", "10", "1931", "1964", "cie1931", "cie1964", "cie31", "cie64") and base.illuminant:
         return replace(base, observer="10" if "64" in word or word == "10" else "2")
-    if word in (
-        "pol",
-        "polarised",
-        "polarized",
-        "at",
-        "light",
-        "aoi",
-        "cie",
-        "observer",
-        "vacuum",
-        "air",
-        "vac",
-        "mean",
-        "average",
-    ):
-        return base
-    return None
+    return base if word in _BRACKET_FILLERS else None
+
+
+def _how_measured(word: str, base: Meaning) -> Meaning | None:
+    """Return the meaning with an error, a polarisation or a mode that a word states, or None."""
+    if word in ERROR_WORDS:
+        return replace(base, is_error=True)
+    if word in _POLARISATIONS:
+        return replace(base, polarisation=_POLARISATIONS[word])
+    return replace(base, mode=_MODES[word]) if word in _MODES else None
 
 
 def _spelt(text: str) -> str:
@@ -303,12 +295,10 @@ def _lookup(core: str) -> tuple[str, ...]:
 
 def _qualified_by(word: str, tokens: list[str], base: Meaning) -> Meaning | None:
     """Return the meaning with what a word beside the quantity states: error, polarisation, mode, lamp, observer."""
-    if word in ERROR_WORDS or word == "±":
+    if word == "±":
         return replace(base, is_error=True)
-    if word in _POLARISATIONS:
-        return replace(base, polarisation=_POLARISATIONS[word])
-    if word in _MODES:
-        return replace(base, mode=_MODES[word])
+    if (measured := _how_measured(word, base)) is not None:
+        return measured
     if word in _FILLERS:
         return base
     if word in ILLUMINANT_WORDS and len(word) > 1:

@@ -18,7 +18,7 @@ from nacre.readers.colour_tables import SRGB, colours, illuminant_in, observer_i
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead
 from nacre.readers.spectra import common
-from nacre.readers.spectra.common import Label, Notes, read_text
+from nacre.readers.spectra.common import Label, Notes, read_lines
 
 # Palettes of sRGB: GIMP `.gpl`, LibreOffice `.soc`, JASC-PAL, and lists of hexadecimal colours.
 
@@ -52,17 +52,17 @@ def read_palette(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: a line is not a colour, or a number is above 255.
     """
-    text = read_text(path)
-    joined = "\n".join(text.lines)
+    lines = read_lines(path)
+    joined = "\n".join(lines)
     name = ""
     if "<draw:color " in joined:
         found = [_hex_entry(path, dict(_ATTRIBUTE.findall(entry))) for entry in _SOC.findall(joined)]
         format_id = "soc"
     elif joined.lstrip().startswith(("GIMP Palette", "JASC-PAL")):
-        found, name = _rows(path, text.lines)
+        found, name = _rows(path, lines)
         format_id = "gpl"
     else:
-        lines = [line for line in text.lines if line.strip() and not _is_remark(line)]
+        lines = [line for line in lines if line.strip() and not _is_remark(line)]
         matches = [_HEX.fullmatch(line) if len(line) <= LONGEST else None for line in lines]
         if not all(matches):
             bad = next(line for line, match in zip(lines, matches, strict=True) if not match)
@@ -414,9 +414,9 @@ def read_lamp(path: Path, options: ReadOptions) -> list[Measurement]:
     data = path.read_bytes()
     if b"IESTM2714" in data[:3000]:
         return [_tm27(path, data, options)]
-    text = common.read_text(path)
-    pairs = [match.groups() for line in text.lines if (match := _LAMP_ROW.match(line))]
-    metadata = common.key_values([line for line in text.lines if not _LAMP_ROW.match(line)], "\t,;")
+    lines = common.read_lines(path)
+    pairs = [match.groups() for line in lines if (match := _LAMP_ROW.match(line))]
+    metadata = common.key_values([line for line in lines if not _LAMP_ROW.match(line)], "\t,;")
     return [_lamp(path, [float(nm) for nm, _ in pairs], [float(value) for _, value in pairs], metadata, options)]
 
 

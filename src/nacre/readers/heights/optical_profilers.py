@@ -441,12 +441,9 @@ def _ascii(path: Path, text: str) -> tuple[dict[str, float], dict[str, Array]]:
             fields[cells[0]] = float(cells[1])
         elif len(cells) > 2 and cells[1] == str(ARRAY):
             shape = int(fields["X Size"]), int(fields["Y Size"])
-            surface.check_shape(shape)
             rows = lines[place : place + shape[0]]
-            values: Any = surface.numbers(re.sub(r"\bBad\b", "nan", "\n".join(rows)) + "\n", path)
-            if values.size != shape[0] * shape[1]:
-                raise ValueError(f"{cells[0]} holds {values.size} values, not {shape[0]} x {shape[1]}")
-            arrays[cells[0]] = values.reshape(shape)
+            values = surface.numbers(re.sub(r"\bBad\b", "nan", "\n".join(rows)) + "\n", path)
+            arrays[cells[0]] = surface.shaped(values, shape)
             place += shape[0]
         elif len(cells) > 3 and cells[1].isdigit() and int(cells[1]) in FORMS:
             fields[cells[0]] = float(cells[3].replace(",", "."))
@@ -531,14 +528,10 @@ def _sdf_ascii(data: bytes, path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
         if equals:
             fields[name.strip()] = value.strip()
     shape = int(fields["NumProfiles"]), int(fields["NumPoints"])
-    check_shape(shape)
     body, end, _ = rest.partition("*")
     if not end:
         check_end(body, path)
-    values = numbers(body, path)
-    if values.size != shape[0] * shape[1]:
-        raise ValueError(f"its head states {shape[0]} x {shape[1]} heights, and {values.size} follow")
-    return values.reshape(shape), fields
+    return surface.shaped(numbers(body, path), shape), fields
 
 
 # X3P files, ISO 25178-72 (ISO 5436-2): a zip with an XML head and a binary matrix, in m.

@@ -6,6 +6,7 @@ import logging
 import re
 import struct
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -139,19 +140,13 @@ def read_nanoscope(path: Path, options: ReadOptions) -> list[Measurement]:
         pitch = width / columns, (height if height != width or aspect == 1.0 else height / aspect) / rows
         maps.append(height_map(path, raw[::-1] * scale, pitch, label, {"date": merged.get("date", "")}))
     left = tuple(f"channel {name}: no height" for name in others)
-    return [_with(one, left) for one in chosen(path, maps, others, options)]
+    return [replace(one, left_out=left) for one in chosen(path, maps, others, options)]
 
 
 def _aspect(image: Section) -> float:
     """Return width over height of the scan, which one number for its size leaves open."""
     words = image.get("aspect ratio", "1:1").split(":")
     return float(words[0]) / float(words[1]) if len(words) == 2 else 1.0
-
-
-def _with(one: Measurement, left: tuple[str, ...]) -> Measurement:
-    from dataclasses import replace
-
-    return replace(one, left_out=left)
 
 
 # WSxM images (.top, .stp) of Nanotec: text head, then rows of numbers, and their export as an ASCII matrix.
@@ -213,10 +208,7 @@ def _matrix(path: Path, text: str, options: ReadOptions) -> Measurement:
             fields[name.strip()] = value.strip()
         elif line.strip():
             rows.append(line)
-    values = numbers("\n".join(rows) + "\n", path)
-    if not rows or values.size % len(rows):
-        raise ValueError("its rows are not all as long")
-    heights = values.reshape(len(rows), -1)
+    heights = surface.matrix(rows, path)
     amplitude = fields.get("Z Amplitude", "").split()
     unit = (length_um(amplitude[1]) if len(amplitude) > 1 else None) or asked_unit(path, options, "heights")
     width = quantity_um(fields["X Amplitude"])
@@ -517,8 +509,7 @@ def read_spip(path: Path, options: ReadOptions) -> list[Measurement]:
         AmbiguousFileError: the file names no unit of its heights, or no lengths.
         NacreError: the values are no lengths, or their number differs from the head.
     """
-    text = decoded(path.read_bytes())
-    check_end(text, path)
+    text = surface.whole_text(path)
     keys, rows = _parts(text)
     shape = _count(keys, "y-pixels", "ny"), _count(keys, "x-pixels", "nx")
     check_shape(shape)
@@ -710,8 +701,7 @@ def read_gwyddion_text(path: Path, options: ReadOptions) -> list[Measurement]:
         AmbiguousFileError: a block names no unit of its values.
         NacreError: rows differ in their length, or no block holds lengths.
     """
-    text = surface.decoded(path.read_bytes())
-    surface.check_end(text, path)
+    text = surface.whole_text(path)
     maps: list[Measurement] = []
     others: list[str] = []
     for lines in _blocks(text.splitlines()):
@@ -720,18 +710,14 @@ def read_gwyddion_text(path: Path, options: ReadOptions) -> list[Measurement]:
         texts = [v for _, v in remarks if not _is_length(v)]
         name, unit = (texts[0] if texts else ""), (texts[-1] if len(texts) > 1 else "")
         rows = [line for line in lines[len(remarks) :] if line.strip() and not line.startswith("#")]
-        values = surface.numbers("\n".join(rows) + "\n", path)
-        columns = len(surface.numbers(rows[0] + "\n" if rows else "", path))
-        if not columns or values.size != columns * len(rows):
-            raise NacreError(f"{path}: its rows hold different numbers of heights")
+        values = surface.matrix(rows, path)
         factor = surface.length_um(unit) if unit else surface.asked_unit(path, options)
         if factor is None:
             others.append(f'"{name}" in {unit}')
             continue
-        pitch = width / columns, height / len(rows)
+        pitch = width / values.shape[1], height / len(rows)
         left = [f"channel {other}" for other in others]
-        heights = values.reshape(len(rows), columns) * factor
-        maps.append(surface.height_map(path, heights, pitch, name, left_out=left))
+        maps.append(surface.height_map(path, values * factor, pitch, name, left_out=left))
     return surface.chosen(path, maps, others, options)
 
 

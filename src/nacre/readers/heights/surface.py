@@ -65,6 +65,31 @@ def array(data: bytes, dtype: str, shape: tuple[int, int], offset: int = 0) -> N
     return np.frombuffer(data, dtype, shape[0] * shape[1], offset).reshape(shape)
 
 
+def matrix(rows: Sequence[str], path: Path) -> Array:
+    """Return rows of text as numbers `[row, column]`.
+
+    Raises:
+        NacreError: empty, or rows of different lengths.
+    """
+    columns = len(numbers(rows[0] + "\n" if rows else "", path))
+    values = numbers("\n".join(rows) + "\n", path)
+    if not columns or values.size != columns * len(rows):
+        raise NacreError(f"{path}: its rows hold different numbers of heights")
+    return values.reshape(len(rows), columns)
+
+
+def shaped(values: Array, shape: tuple[int, int]) -> Array:
+    """Return numbers as `shape`, which the head of a file states.
+
+    Raises:
+        ValueError: there are more or fewer.
+    """
+    check_shape(shape)
+    if values.size != shape[0] * shape[1]:
+        raise ValueError(f"its head states {shape[0]} x {shape[1]} heights, and {values.size} follow")
+    return values.reshape(shape)
+
+
 def check_shape(shape: tuple[int, int]) -> None:
     """Refuse sizes that no instrument writes.
 
@@ -110,6 +135,17 @@ def decoded(data: bytes) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("latin-1")
+
+
+def whole_text(path: Path) -> str:
+    """Return the text of a file that does not end within a number.
+
+    Raises:
+        NacreError: it does.
+    """
+    text = decoded(path.read_bytes())
+    check_end(text, path)
+    return text
 
 
 def check_end(text: str, path: Path) -> None:
@@ -182,7 +218,7 @@ def height_map(
     holes = int(np.isnan(heights).sum())
     if holes == heights.size:
         raise NacreError(f"{path}: holds no height; all {holes} points are holes")
-    figures = {key: value for key, value in roughness(heights, pitch).as_dict().items() if key != "mean_um"}
+    figures = {key: value for key, value in asdict(roughness(heights, pitch)).items() if key != "mean_um"}
     if abs(pitch[0] - pitch[1]) > SQUARE * pitch[0]:
         assumed = (*assumed, f"the points are {pitch[0]:.4g} x {pitch[1]:.4g} um apart, as the file says: not square")
     facts = {"pitch_um": pitch, "holes": holes, **figures, **(metadata or {})}
@@ -244,10 +280,6 @@ class Roughness:
     sdq: float
     correlation_length_um: float | None
     peak_to_valley_um: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the parameters by name."""
-        return asdict(self)
 
 
 def plane(heights: NDArray[Any]) -> tuple[float, float, float]:

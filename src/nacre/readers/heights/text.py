@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.heights import surface
-from nacre.readers.heights.surface import array, asked_unit, check_shape, decoded, height_map, numbers
+from nacre.readers.heights.surface import array, asked_unit, decoded, height_map, numbers
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, POSSIBLE, FileHead
 
@@ -38,19 +38,12 @@ def read_nacre_heights(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: rows of different lengths.
         AmbiguousFileError: the side of a feature is not known.
     """
-    text = surface.decoded(path.read_bytes())
-    surface.check_end(text, path)
+    text = surface.whole_text(path)
     head, *rows = [line for line in text.splitlines() if line.strip()]
-    width = len(rows[0].split(",")) if rows else 0
-    values = surface.numbers("\n".join(rows) + "\n", path)
-    if not width or values.size != width * len(rows):
-        raise NacreError(f"{path}: its rows hold different numbers of heights")
-    surface.check_shape((width, len(rows)))
     stated = START.match(head)
     feature_um = float(stated[1]) if stated and stated[1] else _described(path)
     pitch = (feature_um, feature_um) if feature_um else surface.asked_pitch(path, options)
-    picture = values.reshape(len(rows), width).T[::-1]
-    return [surface.height_map(path, picture, pitch, metadata={"is_period": True})]
+    return [surface.height_map(path, surface.matrix(rows, path).T[::-1], pitch, metadata={"is_period": True})]
 
 
 def _described(path: Path) -> float | None:
@@ -76,13 +69,10 @@ def sniff_holography(head: FileHead) -> float:
 
 def read_holography(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; h is the row count, w the column count."""
-    text = surface.decoded(path.read_bytes())
-    surface.check_end(text, path)
+    text = surface.whole_text(path)
     lines = text.splitlines()
     size = SIZE.match(lines[0])
     assert size is not None
-    shape = int(size[1]), int(size[2])
-    surface.check_shape(shape)
     head = [line for line in lines[1:6] if "=" in line]
     fields = dict(line.split("=", 1) for line in head)
     pitch = surface.quantity_um(fields["pixel size"])
@@ -95,10 +85,9 @@ def read_holography(path: Path, options: ReadOptions) -> list[Measurement]:
             raise NacreError(f"{path}: gives heights in {unit or 'no unit'} without a factor to metres")
         factor = float(found[2]) * named
     values = surface.numbers("\n".join(lines[1 + len(head) :]) + "\n", path)
-    if values.size != shape[0] * shape[1]:
-        raise ValueError(f"its head states {shape[0]} x {shape[1]} heights, and {values.size} follow")
+    heights = surface.shaped(values, (int(size[1]), int(size[2]))) * factor
     facts = {"unit_in_file": unit, "um_per_unit": factor}
-    return [surface.height_map(path, values.reshape(shape) * factor, (pitch, pitch), metadata=facts)]
+    return [surface.height_map(path, heights, (pitch, pitch), metadata=facts)]
 
 
 # Points x y z of a rectangular grid as text, in any order.
@@ -158,8 +147,7 @@ def read_xyz(path: Path, options: ReadOptions) -> list[Measurement]:
         AmbiguousFileError: the file names no unit and none is given.
         NacreError: the points are on no grid.
     """
-    text = surface.decoded(path.read_bytes())
-    surface.check_end(text, path)
+    text = surface.whole_text(path)
     heading, rows = _parts(text)
     values = surface.numbers("\n".join(rows) + "\n", path)
     if values.size != 3 * len(rows) or not rows:
@@ -272,15 +260,9 @@ def read_matrix(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         AmbiguousFileError: one of them is not given.
     """
-    text = surface.decoded(path.read_bytes())
-    surface.check_end(text, path)
+    text = surface.whole_text(path)
     rows = _rows(text)
-    columns = len(surface.numbers(rows[0] + "\n" if rows else "", path))
-    values = surface.numbers("\n".join(rows) + "\n", path)
-    if not columns or values.size != columns * len(rows):
-        raise NacreError(f"{path}: its rows hold different numbers of heights")
-    surface.check_shape((len(rows), columns))
-    values = values.reshape(len(rows), columns)
+    values = surface.matrix(rows, path)
     steps, factor = _coordinate_steps(values), surface.asked_unit(path, options)
     if steps is None:
         return [surface.height_map(path, values * factor, surface.asked_pitch(path, options))]
@@ -377,12 +359,8 @@ def _upright(rows: NDArray[Any], blank: float = BLANK) -> NDArray[Any]:
 
 def _surfer_text(path: Path, data: bytes) -> tuple[NDArray[Any], tuple[float, float]]:
     found = numbers(decoded(data)[4:], path)
-    columns, rows = int(found[0]), int(found[1])
-    check_shape((rows, columns))
-    if len(found) != 8 + rows * columns:
-        raise ValueError(f"{rows} x {columns} heights are announced, and {len(found) - 8} follow")
-    x, y = (found[2], found[3]), (found[4], found[5])
-    return _upright(found[8:].reshape(rows, columns)), _steps((rows, columns), x, y)
+    shape = int(found[1]), int(found[0])
+    return _upright(surface.shaped(found[8:], shape)), _steps(shape, (found[2], found[3]), (found[4], found[5]))
 
 
 def _surfer_6(path: Path, data: bytes) -> tuple[NDArray[Any], tuple[float, float]]:
@@ -414,12 +392,7 @@ def _esri(path: Path, data: bytes) -> tuple[NDArray[Any], tuple[float, float]]:
     text, head = decoded(data).replace("\r\n", "\n"), {}
     while line := _ESRI_HEAD.match(text):
         head[line[1].lower()], text = float(line[2]), text[line.end() :]
-    shape = int(head["nrows"]), int(head["ncols"])
-    check_shape(shape)
-    heights = numbers(text, path)
-    if heights.size != shape[0] * shape[1]:
-        raise ValueError(f"{shape[0]} x {shape[1]} heights are announced, and {heights.size} follow")
-    heights = heights.reshape(shape)
+    heights = surface.shaped(numbers(text, path), (int(head["nrows"]), int(head["ncols"])))
     heights[heights == head.get("nodata_value", -9999.0)] = np.nan
     step = head.get("cellsize")
     if step is None and not {"dx", "dy"} <= head.keys():

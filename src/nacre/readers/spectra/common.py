@@ -77,14 +77,6 @@ NM_EV = 1239.841984  # h c / e in nm eV (exact constants of the SI, 2019)
 
 
 @dataclass
-class Text:
-    """Lines of a file, and the number of NUL characters that were dropped."""
-
-    lines: list[str]
-    nul: int = 0
-
-
-@dataclass
 class Block:
     """Consecutive rows of numbers: the lines [start, stop), and the table [row, column]."""
 
@@ -111,7 +103,7 @@ class Notes:
     left_out: list[str] = field(default_factory=list)
 
 
-def read_text(path: Path) -> Text:
+def read_lines(path: Path) -> list[str]:
     """Return the lines of a text file in UTF-8, UTF-16, Shift-JIS (JASCO) or Windows-1252; NUL characters are dropped.
 
     Raises:
@@ -120,21 +112,20 @@ def read_text(path: Path) -> Text:
     data = path.read_bytes()
     if len(data) > MAX_TEXT_BYTES:
         raise NacreError(f"{path}: is larger than {MAX_TEXT_BYTES >> 20} MiB")
-    return text_of(data)
+    return lines_of(data)
 
 
-def text_of(data: bytes) -> Text:
-    """Return a text's lines; see `read_text`."""
+def lines_of(data: bytes) -> list[str]:
+    """Return a text's lines; see `read_lines`."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        text, nul = data.decode("utf-16", errors="replace"), 0
+        text = data.decode("utf-16", errors="replace")
     else:
-        nul = data.count(0)
         data = data.replace(b"\0", b"")
         try:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = data.decode("cp932" if b"JASCO" in data[:2000] or is_japanese(data) else "cp1252", errors="replace")
-    return Text(_LINE_END.split(text), nul)
+    return _LINE_END.split(text)
 
 
 def number(cell: str, comma: bool = False) -> float | None:
@@ -235,6 +226,19 @@ def complete(path: Path, block: Block) -> Array:
     if block.is_cut:
         raise NacreError(f"{path}: its last row has fewer cells than the others; the file is cut")
     return block.table
+
+
+def first_block(path: Path, lines: Sequence[str]) -> Block:
+    """Return the first table of two or more columns.
+
+    Raises:
+        NacreError: there is none, or it is cut.
+    """
+    found = blocks(lines, least_columns=2)
+    if not found:
+        raise NacreError(f"{path}: has no rows of two numbers")
+    complete(path, found[0])
+    return found[0]
 
 
 def _delimiters(line: str, mark: str | None) -> int:
@@ -358,6 +362,18 @@ def option_unit(path: Path, options: ReadOptions) -> str | None:
         raise NacreError(
             f'{path}: unit = "{options.unit}" is not a unit of a spectrum; allowed: {", ".join(UNIT_CHOICES)}'
         )
+    return unit
+
+
+def axis_unit(path: Path, options: ReadOptions, stated: str) -> str:
+    """Return the abscissa unit of the options, or that which a file states.
+
+    Raises:
+        NacreError: the stated one is not known.
+    """
+    unit = option_unit(path, options) or unit_named(stated)
+    if unit is None:
+        raise NacreError(f'{path}: "{stated}" is no unit of a spectrum')
     return unit
 
 

@@ -132,11 +132,8 @@ def read_bruker_dpt(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         AmbiguousFileError: unit or quantity is not stated; the program writes nm or 1/cm, R, T or absorbance.
     """
-    text = common.read_text(path)
-    found = common.blocks(text.lines, least_columns=2)
-    if not found:
-        raise NacreError(f"{path}: has no rows of two numbers")
-    table = common.complete(path, found[0])
+    lines = common.read_lines(path)
+    table = common.first_block(path, lines).table
     unit = common.option_unit(path, options)
     reach = f"{table[:, 0].min():g} to {table[:, 0].max():g}"
     if unit is None:
@@ -166,8 +163,8 @@ def sniff_perkinelmer_text(head: FileHead) -> float:
 
 def read_perkinelmer_text(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the rows behind #DATA with the units below #GR, or the rows of the CSV with the labels of its remarks."""
-    text = common.read_text(path)
-    lines = [line.strip() for line in text.lines]
+    raw = common.read_lines(path)
+    lines = [line.strip() for line in raw]
     if lines[0].startswith("PE "):
         x_label, y_label, stated, begin, metadata = _preamble(path, lines)
     else:
@@ -178,14 +175,9 @@ def read_perkinelmer_text(path: Path, options: ReadOptions) -> list[Measurement]
         )
         begin = max(place for place, line in enumerate(lines) if line.startswith("#")) + 1
         metadata = {key: value for key, value in about.items() if not key.startswith("dataset")}
-    found = common.blocks(text.lines[begin:], least_columns=2)
-    if not found:
-        raise NacreError(f"{path}: has no rows of numbers")
-    table = common.complete(path, found[0])
+    table = common.first_block(path, raw[begin:]).table
     common.check_count(path, stated, len(table), "the preamble")
-    unit = common.unit_named(x_label)
-    if unit is None:
-        raise NacreError(f'{path}: "{x_label}" is no unit of a spectrum')
+    unit = common.axis_unit(path, options, x_label)
     notes = Notes()
     label = common.named_quantity(path, options, y_label, common.nanometres(table[:, 0], unit), table[:, 1], notes)
     return [common.spectrum(path, table[:, 0], table[:, 1], label, options, unit=unit, metadata=metadata, notes=notes)]
@@ -235,9 +227,7 @@ def read_perkinelmer_sp(path: Path, options: ReadOptions) -> list[Measurement]:
     if (last - first) * interval < 0:
         first, last = last, first
     x = np.linspace(first, last, count)
-    unit = common.unit_named(x_label)
-    if unit is None:
-        raise NacreError(f'{path}: "{x_label}" is no unit of a spectrum')
+    unit = common.axis_unit(path, options, x_label)
     notes = Notes()
     label = common.named_quantity(path, options, y_label, common.nanometres(x, unit), values, notes)
     metadata: dict[str, Any] = {"description": data[4:44].split(b"\0")[0].decode("latin-1").strip()}
@@ -285,20 +275,16 @@ def sniff_jasco_text(head: FileHead) -> float:
 
 def read_jasco_text(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the rows behind XYDATA; several columns of values are YUNITS, YUNITS2, ..."""
-    text = common.read_text(path)
-    begin = next(place for place, line in enumerate(text.lines) if re.match(r"XYDATA\b", line.strip()))
+    lines = common.read_lines(path)
+    begin = next(place for place, line in enumerate(lines) if re.match(r"XYDATA\b", line.strip()))
     records: dict[str, str] = {}
-    for line in text.lines[:begin]:
+    for line in lines[:begin]:
         key, *rest = re.split(r"\t|,|;", line, maxsplit=1)
         records[key.strip().upper()] = rest[0].strip().strip('"') if rest else ""
-    found = common.blocks(text.lines[begin + 1 :], least_columns=2)
-    if not found:
-        raise NacreError(f"{path}: has no rows of numbers behind XYDATA")
-    table = common.complete(path, found[0])
+    block = common.first_block(path, lines[begin + 1 :])
+    table = block.table
     common.check_count(path, records.get("NPOINTS"), len(table), "NPOINTS")
-    unit = common.option_unit(path, options) or common.unit_named(records.get("XUNITS", ""))
-    if unit is None:
-        raise NacreError(f'{path}: XUNITS = "{records.get("XUNITS", "")}" is no unit of a spectrum')
+    unit = common.axis_unit(path, options, records.get("XUNITS", ""))
     keys = ("ORIGIN", "OWNER", "DATE", "TIME", "SPECTROMETER/DATA SYSTEM", "DATA TYPE")
     metadata = {key.lower(): records[key] for key in keys if records.get(key)}
     nm = common.nanometres(table[:, 0], unit)
@@ -306,7 +292,7 @@ def read_jasco_text(path: Path, options: ReadOptions) -> list[Measurement]:
     for column in range(1, table.shape[1]):
         units = records.get("YUNITS" if column == 1 else f"YUNITS{column}", "")
         label = common.label_of(units)
-        notes = Notes(left_out=["the report below the data"] if begin + 1 + found[0].stop < len(text.lines) - 2 else [])
+        notes = Notes(left_out=["the report below the data"] if begin + 1 + block.stop < len(lines) - 2 else [])
         if label is not None and label.quantity in ("reflectance", "transmittance") and label.factor is None:
             label = Label(label.quantity, 0.01)
             notes.assumed.append("per cent, as Spectra Manager writes reflectance and transmittance")
@@ -491,12 +477,12 @@ def sniff_woollam_intensity(head: FileHead) -> float:
 
 def read_woollam_intensity(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one spectrum for each quantity, polarisation and angle: wavelength, angle, value, standard error."""
-    text = common.read_text(path)
-    first = next(place for place, line in enumerate(text.lines) if _ROW.match(line))
-    short = [line for line in text.lines[:first] if len(line.strip()) < 16]
+    lines = common.read_lines(path)
+    first = next(place for place, line in enumerate(lines) if _ROW.match(line))
+    short = [line for line in lines[:first] if len(line.strip()) < 16]
     unit = next((unit for line in reversed(short) if (unit := common.unit_named(line))), None)
     groups: dict[tuple[str, str, float], list[list[float]]] = {}
-    for line in text.lines[first:]:
+    for line in lines[first:]:
         words = line.split()
         if not words:
             continue

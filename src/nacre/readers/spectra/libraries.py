@@ -7,8 +7,10 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
@@ -106,7 +108,7 @@ def _page(path: Path) -> Page:
     Raises:
         NacreError: no title, or a line that is not one number.
     """
-    lines = common.read_text(path).lines
+    lines = common.read_lines(path)
     match = _TITLE.match(lines[0]) if lines else None
     if match is None:
         raise NacreError(f"{path}: its first line is no title of the USGS library")
@@ -213,22 +215,20 @@ def sniff_aster(head: FileHead) -> float:
 
 def read_aster(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read two columns in the stated units."""
-    text = common.read_text(path)
-    units = {match[1].upper(): match[2].strip() for line in text.lines[:200] if (match := _KEY.match(line))}
-    last = max(place for place, line in enumerate(text.lines[:200]) if _KEY.match(line))
-    found = common.blocks(text.lines[last + 1 :], least_columns=2)
+    lines = common.read_lines(path)
+    units = {match[1].upper(): match[2].strip() for line in lines[:200] if (match := _KEY.match(line))}
+    last = max(place for place, line in enumerate(lines[:200]) if _KEY.match(line))
+    found = common.blocks(lines[last + 1 :], least_columns=2)
     if not found:
         raise NacreError(f"{path}: has no rows of two numbers")
     table = common.complete(path, max(found, key=lambda block: len(block.table)))
-    metadata = common.key_values(text.lines[:last], ":")
+    metadata = common.key_values(lines[:last], ":")
     stated = next(
         (value for key, value in metadata.items() if key.lower() in ("number of x values", "number of points")), None
     )
     common.check_count(path, stated, len(table), "the preamble")
     notes = Notes()
-    unit = common.option_unit(path, options) or common.unit_named(units["X"])
-    if unit is None:
-        raise NacreError(f'{path}: X Units = "{units["X"]}" is no unit of a spectrum')
+    unit = common.axis_unit(path, options, units["X"])
     nm = common.nanometres(table[:, 0], unit)
     label = common.named_quantity(path, options, units["Y"], nm, table[:, 1], notes)
     return [
@@ -271,7 +271,7 @@ def sniff_jcamp(head: FileHead) -> float:
 
 def read_jcamp(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read a file's spectra; three linked blocks of counts give (sample - dark) / (reference - dark)."""
-    found = [block for block in _blocks(common.read_text(path).lines) if block.table]
+    found = [block for block in _blocks(common.read_lines(path)) if block.table]
     if not found:
         raise NacreError(f"{path}: JCAMP-DX without XYDATA or XYPOINTS")
     roles = {_role(block): block for block in found}
@@ -337,7 +337,7 @@ def _reflectance(path: Path, roles: dict[str, Block], options: ReadOptions) -> M
     sample, dark, reference = (tables[role][1] for role in ("sample", "dark", "reference"))
     block = roles["sample"]
     notes = Notes()
-    unit = _unit(path, block, options)
+    unit = common.axis_unit(path, options, block.records.get("XUNITS", ""))
     label = common.label_of(block.records.get("YUNITS", "")) or Label("reflectance", 0.01)
     if common.typical(nm, sample) < 0.05 * common.typical(nm, reference):
         values = sample
@@ -358,7 +358,7 @@ def _reflectance(path: Path, roles: dict[str, Block], options: ReadOptions) -> M
 def _spectrum(path: Path, block: Block, label: Label | None, options: ReadOptions, shared: Notes) -> Measurement:
     notes = Notes(list(shared.assumed), list(shared.left_out))
     x, y = _xy(path, block)
-    unit = _unit(path, block, options)
+    unit = common.axis_unit(path, options, block.records.get("XUNITS", ""))
     nm = common.nanometres(x, unit)
     label = common.option_label(path, options) or label
     units = block.records.get("YUNITS", "")
@@ -379,13 +379,6 @@ def _metadata(block: Block) -> dict[str, str]:
     keys = ("ORIGIN", "OWNER", "DATE", "TIME", "SPECTROMETER", "SPECTROMETERDATASYSTEM", "INSTRUMENTPARAMETERS",
             "DATAPROCESSING", "DATATYPE", "SAMPLEDESCRIPTION", "YUNITS")  # fmt: skip
     return {key.lower(): value for key, value in block.records.items() if key in keys and value}
-
-
-def _unit(path: Path, block: Block, options: ReadOptions) -> str:
-    unit = common.option_unit(path, options) or common.unit_named(block.records.get("XUNITS", ""))
-    if unit is None:
-        raise NacreError(f'{path}: XUNITS = "{block.records.get("XUNITS", "")}" is no unit of a spectrum')
-    return unit
 
 
 def _number(block: Block, key: str) -> float | None:
@@ -604,7 +597,7 @@ def _tables(path: Path, data: bytes, head: Head) -> list[tuple[Array, Array]]:
     at = head.size
     x = np.linspace(head.first, head.last, head.count)
     if head.flags & _HAS_X and not head.flags & _OWN_X:
-        x = _floats(path, data, at, head.count, head.order)
+        x = _numbers(path, data, at, head.count, f"{head.order}f4").astype(float)
         at += 4 * head.count
     found = []
     for _ in range(head.spectra):
@@ -612,7 +605,7 @@ def _tables(path: Path, data: bytes, head: Head) -> list[tuple[Array, Array]]:
         at += struct.calcsize(head.order + _SUB_HEAD)
         count = points if head.flags & _OWN_X else head.count
         if head.flags & _OWN_X:
-            x = _floats(path, data, at, count, head.order)
+            x = _numbers(path, data, at, count, f"{head.order}f4").astype(float)
             at += 4 * count
         used = exponent if head.flags & _MANY else head.exponent
         y, size = _spc_ordinates(path, data, at, count, used, head)
@@ -621,23 +614,21 @@ def _tables(path: Path, data: bytes, head: Head) -> list[tuple[Array, Array]]:
     return found
 
 
-def _floats(path: Path, data: bytes, at: int, count: int, order: str) -> Array:
-    if at + 4 * count > len(data):
+def _numbers(path: Path, data: bytes, at: int, count: int, form: str) -> NDArray[Any]:
+    if at + np.dtype(form).itemsize * count > len(data):
         raise NacreError(f"{path}: GRAMS .spc with {count} points, more than the file holds; it is cut or damaged")
-    return np.frombuffer(data, f"{order}f4", count, at).astype(float)
+    return np.frombuffer(data, form, count, at)
 
 
 def _spc_ordinates(path: Path, data: bytes, at: int, count: int, exponent: int, head: Head) -> tuple[Array, int]:
     """Return the values and their size in bytes: floats, or integers times 2^exponent / 2^bits."""
     if exponent == FLOATS:
-        return _floats(path, data, at, count, head.order), 4 * count
+        return _numbers(path, data, at, count, f"{head.order}f4").astype(float), 4 * count
     size = 2 if head.flags & _SIXTEEN_BIT else 4
-    if at + size * count > len(data):
-        raise NacreError(f"{path}: GRAMS .spc with {count} points, more than the file holds; it is cut or damaged")
     if head.size == 224 and size == 4:  # words of the old format: the more significant stands first
-        words = np.frombuffer(data, "<u2", 2 * count, at).astype(np.int64).reshape(count, 2)
+        words = _numbers(path, data, at, 2 * count, "<u2").astype(np.int64).reshape(count, 2)
         integers = (words[:, 0] << 16) + words[:, 1]
         integers = np.where(integers >= 1 << 31, integers - (1 << 32), integers)
     else:
-        integers = np.frombuffer(data, f"{head.order}i{size}", count, at).astype(np.int64)
+        integers = _numbers(path, data, at, count, f"{head.order}i{size}").astype(np.int64)
     return np.asarray(integers * 2.0**exponent / 2.0 ** (8 * size), dtype=float), size * count

@@ -38,12 +38,12 @@ def read_asd_text(path: Path, options: ReadOptions) -> list[Measurement]:
     with path.open("rb") as file:
         if _BINARY.match(file.read(8)):
             raise NacreError(f"{path}: is a binary file of ASD; export text (ViewSpec Pro: Process, ASCII export)")
-    text = common.read_text(path)
-    found = [block for block in common.blocks(text.lines, least_columns=2) if len(block.table) > 20]
+    lines = common.read_lines(path)
+    found = [block for block in common.blocks(lines, least_columns=2) if len(block.table) > 20]
     if not found:
         raise NacreError(f"{path}: has no table of a spectrum")
     block = found[0]
-    prose = [line for line in text.lines[: block.start] if line.strip()]
+    prose = [line for line in lines[: block.start] if line.strip()]
     names = [cell for cell in re.split(r"\t", prose[-1]) if cell.strip()] if prose else []
     words = " ".join(prose[:-1]).lower()
     metadata: dict[str, str] = {}
@@ -91,14 +91,10 @@ def read_licor_prn(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: fewer points than the limits and the interval state.
         AmbiguousFileError: the remark names no quantity.
     """
-    text = common.read_text(path)
-    found = common.blocks(text.lines, least_columns=2)
-    if not found:
-        raise NacreError(f"{path}: has no rows of two numbers")
-    table = common.complete(path, found[0])
-    metadata = {
-        key.lower(): value.strip(' "') for key, value in common.key_values(text.lines[: found[0].start], ":").items()
-    }
+    lines = common.read_lines(path)
+    block = common.first_block(path, lines)
+    table = block.table
+    metadata = {key.lower(): value.strip(' "') for key, value in common.key_values(lines[: block.start], ":").items()}
     limits = re.match(r"\s*([\d.]+)\s*-\s*([\d.]+)", metadata.get("lims", ""))
     interval = re.match(r"\s*([\d.]+)", metadata.get("int", ""))
     if limits and interval:
@@ -136,7 +132,7 @@ def read_svc_sig(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: no rows of four numbers after `data=`.
     """
-    lines = common.read_text(path).lines
+    lines = common.read_lines(path)
     begin = next((place for place, line in enumerate(lines) if line.strip().startswith("data=")), None)
     found = common.blocks(lines[begin + 1 :], least_columns=4) if begin is not None else []
     if not found or found[0].table.shape[1] != 4:
@@ -183,14 +179,12 @@ def read_stellarnet(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: no rows of two numbers.
         AmbiguousFileError: neither names a quantity, or they contradict each other.
     """
-    lines = common.read_text(path).lines
-    found = common.blocks(lines, least_columns=2)
-    if not found:
-        raise NacreError(f"{path}: has no rows of two numbers")
-    table = common.complete(path, found[0])
-    if table.shape[1] != 2 or found[0].ragged:
+    lines = common.read_lines(path)
+    block = common.first_block(path, lines)
+    table = block.table
+    if table.shape[1] != 2 or block.ragged:
         raise NacreError(f"{path}: its rows must have two numbers each; the file is damaged")
-    head = [line for line in lines[: found[0].start] if line.strip()]
+    head = [line for line in lines[: block.start] if line.strip()]
     matched = _VIEW.match(head[1]) if len(head) > 1 else None
     view = matched[1] if matched else ""
     notes = Notes()
@@ -233,14 +227,12 @@ def sniff_craic_text(head: FileHead) -> float:
 
 def read_craic_text(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read two columns; MicroSpec writes reflectance and transmittance in per cent."""
-    text = common.read_text(path)
-    found = common.blocks(text.lines, least_columns=2)
-    if not found:
-        raise NacreError(f"{path}: has no rows of two numbers")
-    head = [line.strip() for line in text.lines[: found[0].start] if line.strip()]
+    lines = common.read_lines(path)
+    block = common.first_block(path, lines)
+    head = [line.strip() for line in lines[: block.start] if line.strip()]
     label = next((label for line in head[1:3] if (label := common.label_of(line)) is not None), None)
     notes = Notes()
-    nm, values = common.complete(path, found[0])[:, :2].T
+    nm, values = block.table[:, :2].T
     if label is None:
         label = common.by_size(path, nm, values, notes, "no quantity")
     elif label.quantity in ("reflectance", "transmittance"):
@@ -275,24 +267,19 @@ def sniff_avantes_text(head: FileHead) -> float:
 
 def read_avantes_text(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the last column; columns of counts alone give (sample - dark) / (reference - dark)."""
-    text = common.read_text(path)
-    lines = text.lines
+    lines = common.read_lines(path)
     place = next(number for number, line in enumerate(lines) if _UNITS.match(line))
     mark = ";" if ";" in lines[place] else "\t" if "\t" in lines[place] else ","
     units = [cell.strip() for cell in lines[place].split(mark)]
     names = [cell.strip() for cell in lines[place - 1].split(mark)] if place else []
-    found = common.blocks(lines[place + 1 :], least_columns=2)
-    if not found:
-        raise NacreError(f"{path}: has no rows of numbers below {lines[place].strip()[:60]}")
-    table = common.complete(path, found[0])
+    block = common.first_block(path, lines[place + 1 :])
+    table = block.table
     if len(units) > table.shape[1]:
         raise NacreError(f"{path}: its heading has {len(units)} columns and its rows have {table.shape[1]}")
     names += [""] * (len(units) - len(names))
     notes = Notes()
-    if found[0].ragged:
-        raise NacreError(
-            f"{path}: {found[0].ragged} rows have fewer cells than the heading; the file is cut or damaged"
-        )
+    if block.ragged:
+        raise NacreError(f"{path}: {block.ragged} rows have fewer cells than the heading; the file is cut or damaged")
     metadata = common.key_values([line for line in lines[: place - 1] if line.strip()], ":")
     counts = _counts(names, units, table)
     label = common.option_label(path, options) or _avantes_label(path, names[-1], units[-1], table, options, notes)
@@ -510,8 +497,7 @@ def sniff_ocean_text(head: FileHead) -> float:
 
 def read_ocean_text(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the columns after the mark: wavelength and processed values, or those of Jaz (W D R S P)."""
-    text = common.read_text(path)
-    lines = text.lines
+    lines = common.read_lines(path)
     marks = [place for place, line in enumerate(lines) if _MARK.match(line.strip())]
     begin = marks[0]
     found = common.blocks(lines[begin + 1 : marks[1] if len(marks) > 1 else None], least_columns=2)
@@ -682,7 +668,7 @@ def read_qtx(path: Path, options: ReadOptions) -> list[Measurement]:
         AmbiguousFileError: transmittance or reflectance is not stated.
     """
     sections: list[dict[str, str]] = []
-    for line in common.read_text(path).lines:
+    for line in common.read_lines(path):
         if _SECTION.match(line.strip()):
             sections.append({})
         elif sections and (pair := re.match(r"\s*(?:STD|BAT)_(\w+)\s*=\s*(.*?)\s*$", line, re.IGNORECASE)):

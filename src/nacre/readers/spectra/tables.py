@@ -43,7 +43,7 @@ def sniff(head: FileHead) -> float:
     """Return 0.5 for headings of spectral quantities, 0.4 for many spectra, 0.3 for two or three bare columns."""
     if not head.is_text or head.text.lstrip()[:1] in ("<", "{"):
         return 0.0
-    lines = common.text_of(head.data).lines
+    lines = common.lines_of(head.data)
     if head.size > len(head.data):
         lines = lines[:-1]
     found = [block for block in common.blocks(lines, least_columns=2) if len(block.table) >= 3]
@@ -86,32 +86,32 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         AmbiguousFileError: unit or quantity is not stated, and range and size do not decide.
     """
-    text = common.read_text(path)
-    across = _across(text.lines)
+    lines = common.read_lines(path)
+    across = _across(lines)
     if across is not None:
         return common.choose(path, _read_across(path, across, options), options)
-    found = [block for block in common.blocks(text.lines, least_columns=2) if len(block.table) >= 3]
+    found = [block for block in common.blocks(lines, least_columns=2) if len(block.table) >= 3]
     if not found:
         raise NacreError(f"{path}: has no table of a spectrum")
     block = found[0]
     notes = Notes()
-    if any(line.strip() for line in text.lines[block.stop :]):
+    if any(line.strip() for line in lines[block.stop :]):
         notes.left_out.append("the text below the table")
-    names = _headings(text.lines, block)
-    metadata = common.key_values(text.lines[: block.start], ":=")
-    technique = next((line.split(",")[1] for line in text.lines[: block.start] if line.startswith("Technique,")), "")
+    names = _headings(lines, block)
+    metadata = common.key_values(lines[: block.start], ":=")
+    technique = next((line.split(",")[1] for line in lines[: block.start] if line.startswith("Technique,")), "")
     if technique.strip():
         metadata["Technique"] = technique.strip()
-    axis_unit, ordinate = common.stated_axes([*text.lines[: block.start], *text.lines[block.stop :]])
+    axis_unit, ordinate = common.stated_axes([*lines[: block.start], *lines[block.stop :]])
     if not names:
         return [_plain(path, common.complete(path, block), options, notes, axis_unit, ordinate)]
     axes = [place for place, name in enumerate(names) if _WAVELENGTH.search(name)]
     pairs = [place for place in axes if place + 1 not in axes]
     if len(pairs) > 1:
-        found_spectra = _pairs(path, text.lines, block, names, pairs, options, notes)
+        found_spectra = _pairs(path, lines, block, names, pairs, options, notes)
     else:
         found_spectra = _columns(path, common.complete(path, block), names, metadata, options, notes, ordinate)
-    above = read_preamble(text.lines[: block.start])
+    above = read_preamble(lines[: block.start])
     if options.angle_deg is not None:  # the user's statement precedes
         above = replace(above, angle_deg=None)
     return common.choose(path, [with_preamble(each, above) for each in found_spectra], options)
