@@ -16,7 +16,7 @@ from helpers_bsdf import WAVELENGTHS, dielectric, mirror, random_directions
 from nacre.bsdf import Bsdf, ParameterAxis
 from nacre.bsdf.compensation import compensate
 from nacre.bsdf.file import HEADER, VERSION, check_fields
-from nacre.bsdf.lobes.interface import Diffuse, Microfacet, Specular, bare_base
+from nacre.bsdf.lobes.interface import Diffuse, Microfacet, Specular
 from nacre.bsdf.lobes.monolayer import Harmonic
 from nacre.bsdf.lobes.ridge import RidgeTable
 from nacre.bsdf.texture import Texture, parse_formula
@@ -37,7 +37,7 @@ def bsdf() -> Bsdf:
         Ridges(700, 300, 120).lobe(mirror()),
         RidgeTable(WAVELENGTHS, np.full((2, 3, 3, 3), 0.25, dtype=np.float32), 0.07, 0.9, rotation=image),
         varying,
-        bare_base(WAVELENGTHS, np.array([0.1, 0.2, 0.3])),
+        Diffuse(WAVELENGTHS, np.array([0.1, 0.2, 0.3]), np.ones((1, 3))),
     )
     return Bsdf(lobes, {"recipe": "family = 'film'", "seed": 3, "notes": [1.5, None, "x"]})
 
@@ -209,7 +209,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
 
 
 def test_what_is_not_finite_is_never_written(tmp_path: Path) -> None:
-    bad = bare_base(WAVELENGTHS, np.array([0.1, np.nan, 0.3]))
+    bad = Diffuse(WAVELENGTHS, np.array([0.1, np.nan, 0.3]), np.ones((1, 3)))
     with pytest.raises(NacreError, match="finite"):
         Bsdf((bad,)).save(tmp_path / "bad.nacre")
     assert not list(tmp_path.iterdir())

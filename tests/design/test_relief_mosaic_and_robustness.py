@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from read_back import read_grey16
+from read_back import depth_of, read_grey16
 
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.relief.diffraction_orders import Coherence
@@ -58,7 +58,7 @@ def test_mosaic_is_written_as_one_map(tmp_path: Path) -> None:
     made = mosaic(wanted(4), PALETTE, COLOURS, cells_per_pixel=2)
     write_mosaic(tmp_path / "m.png", made, 1.6, PUBLISHED_CALIBRATION, {"made": "test"})
     grey, facts = read_grey16(tmp_path / "m.png")
-    heights = facts["top_um"] - PUBLISHED_CALIBRATION.depth_of(grey)
+    heights = facts["top_um"] - depth_of(PUBLISHED_CALIBRATION, grey)
     assert np.abs(heights - np.stack(list(made.rows_um()))).max() * 1e3 <= PUBLISHED_CALIBRATION.nm_per_level
     with pytest.raises(NacreError, match="covers depths"):
         write_mosaic(tmp_path / "n.png", mosaic(wanted(4), 3 * PALETTE, COLOURS), 1.6, PUBLISHED_CALIBRATION, {})
@@ -71,7 +71,7 @@ def test_the_example_designs_patches_and_mixes_a_colour_wheel(tmp_path: Path) ->
     wanted, seen = example.colour_wheel(12), made.seen() / made.exposure
     assert np.corrcoef(wanted.ravel(), seen.ravel())[0, 1] > 0.75
     grey, facts = read_grey16(tmp_path / "mosaic.png")
-    heights = facts["top_um"] - PUBLISHED_CALIBRATION.depth_of(grey)
+    heights = facts["top_um"] - depth_of(PUBLISHED_CALIBRATION, grey)
     assert heights.shape == made.shape
     assert np.abs(heights - np.stack(list(made.rows_um()))).max() * 1e3 <= PUBLISHED_CALIBRATION.nm_per_level
     assert (tmp_path / "mosaic-seen.png").stat().st_size > 500

@@ -18,7 +18,7 @@ from nacre.formats.bsdf_tables import (
     Warp,
     gonio_grid,
     merl_lobe,
-    read_merl,
+    read_merl_filled,
     rgl_fields,
     slice_values,
     write_merl,
@@ -27,10 +27,11 @@ from nacre.formats.bsdf_tables import (
     write_zemax,
     zemax_table,
 )
-from nacre.formats.measured_lobes import measured_table, read_gonio_csv, rgb_basis, write_gonio_csv
+from nacre.formats.measured_lobes import gonio_data, measured_table, rgb_basis, write_gonio_csv
 from nacre.formats.scene_files import ThinFilm, read_gltf, read_materialx, write_gltf, write_materialx
 from nacre.readers.bsdf.databases import RglBsdf, read_tensor
 from nacre.readers.bsdf.ray_tracers import read_zemax_table, scatter_direction
+from nacre.readers.registry import open_file
 from nacre.recipe.toml import dump_toml
 
 ROUGH_FILM = {
@@ -58,7 +59,7 @@ def random_directions(count: int, seed: int = 0, lowest: float = 0.2) -> np.ndar
 def test_a_gonio_csv_round_trips_to_single_precision(tmp_path: Path, film: nacre.Bsdf) -> None:
     data = gonio_grid(film, 30.0)
     write_gonio_csv(tmp_path / "g.csv", data, "a comment\nof two lines")
-    again = read_gonio_csv(tmp_path / "g.csv")
+    again, _ = gonio_data(open_file(tmp_path / "g.csv")[0])
     np.testing.assert_allclose(again.values, data.values, rtol=np.finfo(np.float32).eps / 2)
     np.testing.assert_allclose(again.angles_deg, data.angles_deg)
     np.testing.assert_allclose(again.wavelengths_nm, data.wavelengths_nm)
@@ -145,7 +146,7 @@ def test_half_and_difference_angles_invert_each_other() -> None:
 def test_merl_round_trips_to_its_bins(tmp_path: Path) -> None:
     table = np.random.default_rng(0).random((*SHAPE, 3))
     write_merl(tmp_path / "m.binary", table)
-    np.testing.assert_allclose(read_merl(tmp_path / "m.binary"), table, rtol=1e-14)
+    np.testing.assert_allclose(read_merl_filled(tmp_path / "m.binary")[0], table, rtol=1e-14)
     raw = (tmp_path / "m.binary").read_bytes()
     assert struct.unpack("<3i", raw[:12]) == SHAPE
     # the first value of each plane, scaled as the published reader does (Matusik's BRDFRead.cpp)

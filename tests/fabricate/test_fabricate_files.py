@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from read_back import heights_from_grey, read_grey16, read_levels, read_stl_heights
+from read_back import depth_of, heights_from_grey, read_grey16, read_levels, read_stl_heights
 
 from nacre.api import fabricate as fabricate_all
 from nacre.cli import run
@@ -273,7 +273,7 @@ def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_published_calibration_is_the_published_range() -> None:
-    assert PUBLISHED_CALIBRATION.depth_of(np.array([201, 989], dtype=np.uint16)).tolist() == [0.376, 1.185]
+    assert depth_of(PUBLISHED_CALIBRATION, np.array([201, 989], dtype=np.uint16)).tolist() == [0.376, 1.185]
 
 
 def test_each_of_several_maps_is_reported_with_its_own_grey_values(tmp_path: Path, capfd: Any) -> None:

@@ -29,10 +29,15 @@ def read_grey16(path: str | Path) -> tuple[NDArray[np.uint16], dict[str, Any]]:
         return np.asarray(image, dtype=np.uint16), json.loads(image.info["nacre"])
 
 
+def depth_of(curve: Calibration, grey: NDArray[np.uint16]) -> Array:
+    """Return the depths, um, that grey values expose to."""
+    return np.asarray(np.interp(grey.astype(float), curve.grey, curve.depth_um))
+
+
 def heights_from_grey(grey: NDArray[np.uint16], facts: dict[str, Any]) -> Array:
     """Return the heights, um above the lowest feature, that a grey image stands for."""
     curve = Calibration(np.array(facts["grey"]), np.array(facts["depth_um"]))
-    return np.asarray(facts["top_depth_um"] + facts["height_range_um"] - curve.depth_of(grey))
+    return np.asarray(facts["top_depth_um"] + facts["height_range_um"] - depth_of(curve, grey))
 
 
 def cells_of(path: str | Path) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import pytest
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.compensation import compensate
 from nacre.bsdf.lobe import Lobe
-from nacre.bsdf.lobes.interface import AlignedMicrofacet, Diffuse, Microfacet, Specular, bare_base
+from nacre.bsdf.lobes.interface import AlignedMicrofacet, Diffuse, Microfacet, Specular
 from nacre.bsdf.lobes.ridge import Ridge, RidgeTable
 from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.registry import LOBES, lobe_kinds, outside_lobe
@@ -54,6 +54,10 @@ METAL = (1.0, 1.5, 1.2 + 7.0j), (250.0,)
 GLASS = (1.0, 2.0, 1.5), (400.0,)
 ROTATION = Texture(-7.0, 7.0, parse_formula("0.7 + u"))
 PATCHES = Texture(0.5, 2.0, image=np.random.default_rng(5).uniform(0.0, 1.0, (5, 4)))
+
+
+def bare_base(albedo: np.ndarray) -> Lobe:
+    return Diffuse(GRID, albedo, np.ones((1, len(GRID))))
 
 
 def metal(distribution: str, x: float, y: float | None = None, **more: Any) -> Lobe:
@@ -212,7 +216,7 @@ CASES: dict[str, Case] = {
     ),
     "rough anisotropic metal": Case(lambda: (aligned(False),)),
     "rough anisotropic glass": Case(lambda: (aligned(True, rotation=ROTATION),), BOTH[::2], 1.5),
-    "diffuse": Case(lambda: (bare_base(GRID, np.linspace(0.2, 0.9, len(GRID))),)),
+    "diffuse": Case(lambda: (bare_base(np.linspace(0.2, 0.9, len(GRID))),)),
     "diffuse under a film": Case(lambda: (under_film(),)),
     "irregular ridges": Case(lambda: (ridge(120.0),), width=0.4),
     "level ridges": Case(lambda: (ridge(0.0, rotation=ROTATION),), ((10.0, 0.0),), chi=(100, 32), width=0.4),
@@ -224,9 +228,7 @@ CASES: dict[str, Case] = {
     "matt table": Case(lambda: (matt_table(),), width=0.5),
     "half-angle table": Case(lambda: (table("half"),), width=0.5),
     "measured table": Case(lambda: (measured_table(),), width=0.5),
-    "rough film over a base": Case(
-        lambda: (metal("ggx", 0.2), bare_base(GRID, np.full(len(GRID), 0.3))), conserves=False
-    ),
+    "rough film over a base": Case(lambda: (metal("ggx", 0.2), bare_base(np.full(len(GRID), 0.3))), conserves=False),
     "film over a base": Case(lambda: (Specular(stack(*GLASS, False)), under_film()), ((30.0, 0.0),)),
 }
 # lobes of other packages bring a sample of their own

@@ -22,7 +22,7 @@ from nacre.material.material import Material, MaterialLike, as_material
 from nacre.matter.stack.incoherent import incoherent_coherence, incoherent_powers
 from nacre.matter.stack.solve import solve
 from nacre.matter.stack.stack import Stack
-from nacre.readers.ellipsometry_units import CONVENTIONS, standard_delta
+from nacre.readers.ellipsometry_units import CONVENTIONS, pseudo_epsilon, standard_delta
 from nacre.readers.measurement import AmbiguousFileError, Measurement
 from nacre.recipe.model import validate
 from nacre.recipe.path_tables import InstrumentSpec
@@ -95,14 +95,8 @@ class EllipsometricResponse:
 
     @property
     def pseudo_epsilon(self) -> ComplexArray:
-        """Permittivity of the bare substrate in air that has this Psi and Delta; Im > 0 absorbs.
-
-        <eps> = sin^2(t) (1 + tan^2(t) ((1 - rho) / (1 + rho))^2) (Azzam and Bashara, 1977).
-        """
-        rho = np.tan(np.radians(self.psi_deg)) * np.exp(-1j * np.radians(self.delta_deg))  # exp(-i w t)
-        t = np.radians(self.angles_deg)[:, None]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(np.sin(t) ** 2 * (1.0 + np.tan(t) ** 2 * ((1.0 - rho) / (1.0 + rho)) ** 2))
+        """Permittivity of the bare substrate in air that has this Psi and Delta; Im > 0 absorbs."""
+        return pseudo_epsilon(self.psi_deg, self.delta_deg, self.angles_deg[:, None])
 
     def columns(self) -> dict[str, Array]:
         """All quantities by name, `[angle, wavelength]`."""

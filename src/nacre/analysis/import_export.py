@@ -180,8 +180,7 @@ def _export_measured(bsdf: Bsdf, target: str, path: Path, step_deg: float, name:
 
 
 def _export_table(material: Material, folder: Path, illuminant: str, progress: Callable[[str], None]) -> dict[str, Any]:
-    from nacre.analysis.lut import make_table
-    from nacre.formats.lut import check_folder, write_table
+    from nacre.formats.lut import write_table
 
     check_folder(folder)
     table = make_table(material, illuminant, progress)
@@ -244,7 +243,6 @@ def _export_blend(material: Material, blend: Masked, path: Path, parts: list[Any
     Raises:
         UnsupportedError: no film represents one of them, or one is a blend.
     """
-    from nacre.analysis.lut import over_uv
     from nacre.analysis.thin_film import fit_thin_film
     from nacre.formats.scene_files import Cover, write_gltf
 
@@ -255,11 +253,8 @@ def _export_blend(material: Material, blend: Masked, path: Path, parts: list[Any
         except UnsupportedError as error:
             raise UnsupportedError(f"the part {name} of the blend: {error}; export the other part alone") from None
     over, under = fits
-    mask = blend.mask
-    share: Any = float(mask.low)
-    if mask.low != mask.high:
-        share = over_uv(mask)
-    mean = float(np.mean(share))
+    share = _share(blend.mask)
+    mean = share.mean
     residual = mean * over.mean_residual + (1.0 - mean) * under.mean_residual
     named = zip((blend.first, blend.second), (over, under), (mean, 1.0 - mean), strict=True)
     facts = {
@@ -272,7 +267,7 @@ def _export_blend(material: Material, blend: Masked, path: Path, parts: list[Any
         "residual_delta_e_2000": residual,
     }  # fmt: skip
     provenance = {"nacre": __version__, "recipe": material.text, "residual_delta_e_2000": residual}
-    cover = Cover(over.film, blend.first.name, share)
+    cover = Cover(over.film, blend.first.name, mean if share.map is None else share.map)
     write_gltf(path, under.film, blend.second.name, provenance, parts, cover=cover)
     return facts
 

@@ -17,10 +17,10 @@ from nacre.analysis.ties import tied_maker
 from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError, RecipeError
+from nacre.core.errors import NacreError, RecipeError, did_you_mean
 from nacre.core.files import read_text
 from nacre.core.machine import check_memory
-from nacre.light import lab_to_xyz, spectrum_to_xyz, white_xyz, xyz_to_lab
+from nacre.light import ILLUMINANTS, OBSERVERS, lab_to_xyz, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material, load
 from nacre.measure.colours import colour_spectrum, geometry_colours, recipe_geometries
 from nacre.measure.geometry import Geometry
@@ -411,9 +411,6 @@ def _files(material: Material, points: Points) -> dict[str, str]:
 
 
 def _measurement(spec: MeasureSpec, material: Material, source: str) -> Measurement:
-    from nacre.core.errors import did_you_mean
-    from nacre.light import ILLUMINANTS, OBSERVERS
-
     for key, value, allowed in (("illuminant", spec.illuminant, ILLUMINANTS), ("observer", spec.observer, OBSERVERS)):
         if value not in allowed:
             hint = did_you_mean(value, allowed)

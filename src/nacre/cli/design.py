@@ -350,7 +350,6 @@ def formulate(
     as_json: bool,
 ) -> None:  # fmt: skip
     """Choose pigments, a dye and concentrations from a library for the measured colours of each TARGET."""
-    from nacre.core.files import check_writable
     from nacre.optimise.formulation import check_answers, formulation_document, read_formulation
     from nacre.optimise.formulation import formulate as run
 

@@ -16,7 +16,17 @@ from nacre.families.registry import family_names, family_spec
 from nacre.matter.indices.anisotropic_spec import AnisotropicSpec
 from nacre.matter.indices.spec import IndexSpec
 from nacre.readers.curves import FileSpec
-from nacre.recipe.keys import Key, find_key, keys_of, one_sentence, shared_tables, tables_below, toml_lines
+from nacre.recipe.keys import (
+    Key,
+    find_key,
+    json_schema,
+    keys_of,
+    one_of_files,
+    one_sentence,
+    shared_tables,
+    tables_below,
+    toml_lines,
+)
 from nacre.recipe.model import RecipeModel
 from nacre.recipe.path_tables import StudySpec
 
@@ -87,8 +97,6 @@ def editor_schema(name: str | None = None) -> dict[str, Any]:
     Raises:
         NacreError: the file type does not exist.
     """
-    from nacre.recipe.keys import json_schema, one_of_files
-
     if name is not None:
         found = kind(name)
         return json_schema(found.models, TextureSpec, is_recipe=found.is_recipe)

@@ -16,8 +16,6 @@ from nacre.core.errors import NacreError
 from nacre.core.files import check_writable
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 
 

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import base64
 import functools
+import io
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import jinja2
@@ -31,6 +35,15 @@ def render_page(template: str, **values: Any) -> str:
         values: template variables; `title` is the page title.
     """
     return _environment().get_template(template).render(values)
+
+
+def png_bytes(pixels: NDArray[np.uint8], **options: Any) -> bytes:
+    """Return a picture `[row, column, channel]` as PNG; the options are those of Pillow."""
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, "PNG", **options)
+    return stream.getvalue()
 
 
 def png_uri(png: bytes) -> str:

@@ -74,11 +74,6 @@ def write_merl(path: str | Path, table: Array) -> None:
         file.write(planes.astype("<f8").tobytes())
 
 
-def read_merl(path: str | Path) -> Array:
-    """Read a MERL file as linear RGB reflectance `[90, 90, 180, 3]`; see `read_merl_filled`."""
-    return read_merl_filled(path)[0]
-
-
 def read_merl_filled(path: str | Path) -> tuple[Array, list[str]]:
     """Read a MERL file as linear RGB reflectance `[90, 90, 180, 3]`, and remarks.
 

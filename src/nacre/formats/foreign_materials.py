@@ -400,9 +400,9 @@ def _materialx_film(
     not_read = connected + sorted(set(unread) - set(connected))
     if metal < 0.5 and clear <= 0 and base > 0 and rgb != (0.0, 0.0, 0.0) and shader.colour[0] not in not_read:
         not_read.insert(0, shader.colour[0])  # scattering below a dielectric surface
-    if metal < 0.5 and clear > 0 and shader.colour[0] in inputs and shader.colour[0] not in not_read:
-        if node.tag == "gltf_pbr" and rgb != (1.0, 1.0, 1.0):
-            not_read.insert(0, shader.colour[0])  # tints the transmitted light
+    tints = metal < 0.5 and clear > 0 and node.tag == "gltf_pbr" and rgb != (1.0, 1.0, 1.0)  # the transmitted light
+    if tints and shader.colour[0] in inputs and shader.colour[0] not in not_read:
+        not_read.insert(0, shader.colour[0])
     if metal >= 0.5:
         rgb = (base * rgb[0], base * rgb[1], base * rgb[2])
     return ThinFilm(

@@ -409,10 +409,6 @@ class Calibration:
         grey = np.interp(depth_um, self.depth_um[order], self.grey[order])
         return np.round(grey).astype(np.uint16)
 
-    def depth_of(self, grey: NDArray[np.uint16]) -> Array:
-        """Return the depths, um, that grey values expose to."""
-        return np.asarray(np.interp(grey.astype(float), self.grey, self.depth_um))
-
 
 # grey 201 to 989 gives depths 0.376 to 1.185 um: the published process
 PUBLISHED_CALIBRATION = Calibration(np.array([201.0, 989.0]), np.array([0.376, 1.185]), PUBLISHED)

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.lobes.table import TableLobe
+from nacre.bsdf.lobes.table import TableLobe, half_difference
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path, write_text
 from nacre.light import default_wavelengths, spectrum_to_rgb_matrix, xyz_to_srgb_linear
-from nacre.readers.bsdf.gonio_table import COLOURS, DEGREES, read_gonio
+from nacre.readers.bsdf.gonio_table import COLOURS, DEGREES
 from nacre.readers.bsdf.interchange import hemispherical_share
-from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.measurement import Measurement
 
 LAWS = ("half-angle",)
 MIN_PAIRS = 4
@@ -323,9 +323,6 @@ def _by_half_angle(
     """Interpolate f over half and difference angle from the measured pairs."""
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
-    from nacre.bsdf.lobes.table import half_difference
-    from nacre.core.arrays import direction
-
     wi = direction(np.radians(points[:, 0]), np.zeros(len(points)))
     wo = direction(np.radians(points[:, 1]), np.radians(points[:, 2]))
     half, diff, _ = half_difference(wi, wo)
@@ -426,16 +423,6 @@ def write_gonio_csv(path: str | Path, data: GonioData, comment: str = "") -> Non
             file.write(f"# {line}\n")
         file.write(",".join(COLUMNS) + "\n")
         np.savetxt(file, table, fmt=f"%.{ROUND_TRIP_DIGITS}g", delimiter=",")
-
-
-def read_gonio_csv(path: str | Path) -> GonioData:
-    """Read a measurement (see `nacre.readers.bsdf.gonio_table`); every direction pair has the same wavelengths.
-
-    Raises:
-        NacreError: the file is invalid; names the line or the column.
-    """
-    data, _ = gonio_data(read_gonio(Path(path), ReadOptions())[0])
-    return data
 
 
 def gonio_data(measured: Measurement) -> tuple[GonioData, list[str]]:

@@ -11,7 +11,6 @@ standard library; the material's output is `outputs:mtlx:surface`, as UsdMtlx wr
 from __future__ import annotations
 
 import base64
-import io
 import json
 import re
 import struct
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.files import atomic_path, write_text
+from nacre.core.html import png_bytes
 from nacre.formats.foreign_materials import GLB_JSON, GLB_MAGIC, ThicknessMap, ThinFilm
 from nacre.formats.foreign_materials import read_gltf as read_gltf
 from nacre.formats.foreign_materials import read_materialx as read_materialx
@@ -183,11 +183,7 @@ def _covering(cover: Cover) -> dict[str, Any]:
 
 def _png(values: Array) -> bytes:
     """Return a PNG with 8 bits of `[row, column, channel]` from 0 to 1."""
-    from PIL import Image
-
-    stream = io.BytesIO()
-    Image.fromarray(np.round(255 * np.clip(values, 0.0, 1.0)).astype(np.uint8)).save(stream, "png", optimize=True)
-    return stream.getvalue()
+    return png_bytes(np.round(255 * np.clip(values, 0.0, 1.0)).astype(np.uint8), optimize=True)
 
 
 def sphere() -> Part:

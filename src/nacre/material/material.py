@@ -6,13 +6,11 @@ animations use these paths for all families.
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import copy
 import dataclasses
 import functools
 import html
-import io
 import json
 import logging
 import time
@@ -34,6 +32,7 @@ from nacre.core.arrays import Array, floats, wavelength_grid
 from nacre.core.disk_cache import cache_arrays, cached, cached_arrays
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import DESIGN_RECIPE, named, read_text, short_name
+from nacre.core.html import png_bytes, png_uri
 from nacre.core.machine import check_memory
 from nacre.families.contract import (
     ExcessEnergy,
@@ -688,11 +687,5 @@ def _ribbon(material: Any, stride: int) -> str:
 
 
 def _image(pixels: np.ndarray, words: str, width: int) -> str:
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.fromarray(np.asarray(pixels)).save(buffer, format="PNG")
-    data = base64.b64encode(buffer.getvalue()).decode()
-    return (
-        f'<img alt="{words}" title="{words}" width="{width}" src="data:image/png;base64,{data}" style="display:block">'
-    )
+    uri = png_uri(png_bytes(pixels))
+    return f'<img alt="{words}" title="{words}" width="{width}" src="{uri}" style="display:block">'

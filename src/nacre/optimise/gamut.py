@@ -7,7 +7,6 @@ its volume in CIELAB, the share that lies within a dE00 from a reached colour.
 from __future__ import annotations
 
 import functools
-import itertools
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,7 +38,8 @@ from nacre.measure.colours import recipe_geometries
 from nacre.measure.geometry import Geometry
 from nacre.optimise.evaluation import lab_hex
 from nacre.optimise.measurement import check_answers, search_wavelengths, simulate_measurement
-from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, refuse_ties, values_at
+from nacre.optimise.methods.least_squares import sobol_points
+from nacre.optimise.parameters import Parameter, combinations, nominal_point, read_parameters, refuse_ties, values_at
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import check_light
 from nacre.optimise.task import DesignTask
@@ -261,19 +261,16 @@ def _parameter_gamut(
     Raises:
         NacreError: all points fail.
     """
-    from scipy.stats import qmc
-
     count, seconds, seed = draws
     start = time.monotonic()
     grid = search_wavelengths([material, *_variants(material, parameters)][-1], [light[0]])
     weights, white = xyz_weights(grid, *light), white_xyz(*light)
-    combinations = _combinations(parameters, count)
-    if combinations:
-        planned, count = combinations, len(combinations)
+    possible = _combinations(parameters, count)
+    if possible:
+        planned, count = possible, len(possible)
     else:
         even = max(MIN_POINTS, int(EVEN_SHARE * count)) if len(parameters) > 1 else count
-        sobol = qmc.Sobol(len(parameters), scramble=True, rng=np.random.default_rng(seed))
-        planned = list(sobol.random(1 << int(np.ceil(np.log2(max(even, 2)))))[:even])
+        planned = list(sobol_points(len(parameters), even, seed)[:even])
         nominal = nominal_point(parameters, material)
         planned[:0] = [nominal] if nominal is not None else []
     generator = np.random.default_rng([seed, 4])
@@ -300,7 +297,7 @@ def _parameter_gamut(
         raise NacreError(f"{material.context.source}: no point of the gamut can be computed")
     structures = [values_at(parameters, point) for point in points]
     found = _spectra_gamut(np.array(factors), grid, structures, at, light, tolerance)
-    return replace(found, failed=failed, possible=len(combinations) or None)
+    return replace(found, failed=failed, possible=len(possible) or None)
 
 
 def _variants(material: Material, parameters: Sequence[Parameter]) -> list[Material]:
@@ -317,14 +314,8 @@ def _combinations(parameters: Sequence[Parameter], most: int) -> list[Array]:
     """Return all discrete parameter combinations; empty if a parameter is continuous, or if they are too many."""
     if not all(p.choices or p.is_whole for p in parameters):
         return []
-    counts = [len(p.choices) if p.choices else int(p.high - p.low) + 1 for p in parameters]
-    if np.prod(counts, dtype=float) > most:
-        return []
-    axes = [
-        (np.arange(count) + 0.5) / count if p.choices else np.arange(count) / max(count - 1, 1)
-        for p, count in zip(parameters, counts, strict=True)
-    ]
-    return [np.array(point) for point in itertools.product(*axes)]
+    count, points = combinations(parameters)
+    return list(points) if count <= most else []
 
 
 def _near_extreme(points: Sequence[Array], labs: Array, turn: int, generator: np.random.Generator) -> Array:

@@ -7,6 +7,7 @@ at 0, such as the amount of a pigment, may remove its table.
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -210,6 +211,16 @@ def point_of(parameters: Sequence[Parameter], values: Mapping[str, Any]) -> Arra
     """Return values by path as a unit cube point; None if one is missing or outside its bounds."""
     units = [p.unit(values.get(p.path)) for p in parameters]
     return None if any(unit is None for unit in units) else np.array(units, dtype=float)
+
+
+def combinations(parameters: Sequence[Parameter]) -> tuple[float, Iterator[Array]]:
+    """Return the number of combinations of discrete parameters, and their unit cube points."""
+    counts = [len(p.choices) if p.choices else int(p.high - p.low) + 1 for p in parameters]
+    axes = [
+        (np.arange(count) + 0.5) / count if p.choices else np.arange(count) / max(count - 1, 1)
+        for p, count in zip(parameters, counts, strict=True)
+    ]
+    return float(np.prod(counts, dtype=float)), map(np.array, itertools.product(*axes))
 
 
 def values_at(parameters: Sequence[Parameter], point: Array) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -140,10 +141,8 @@ def yield_of(
     else:
         good = done = 0
         for row in values:
-            try:
+            with contextlib.suppress(NacreError):  # an impossible sample fails
                 good += bool(np.all(merit.distances(evaluator.one(paths, row)) <= limits))
-            except NacreError:
-                pass  # an impossible sample fails
             done += 1
             if time.monotonic() - begun > 0.7 * seconds and done >= MIN_DRAWS:
                 break

@@ -27,6 +27,7 @@ from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path, reraise_as_oserror
+from nacre.core.html import png_bytes
 from nacre.light import (
     SRGB_WHITE_XYZ,
     adapt_xyz,
@@ -99,13 +100,7 @@ class RenderResult:
 
     def _repr_png_(self) -> bytes:
         """Show the picture in a notebook."""
-        import io
-
-        from PIL import Image
-
-        buffer = io.BytesIO()
-        Image.fromarray(self.srgb8).save(buffer, format="PNG")
-        return buffer.getvalue()
+        return png_bytes(self.srgb8)
 
 
 def auto_stops(xyz: Array) -> float:

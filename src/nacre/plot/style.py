@@ -27,7 +27,6 @@ from nacre.core.html import png_uri
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 COLUMN_IN = 3.46  # 88 mm, a journal's column
@@ -189,8 +188,6 @@ DPI = 170
 
 def data_uri(figure: Figure, dpi: int) -> str:
     """Return a figure as a PNG data URI."""
-    pass  # imports matplotlib
-
     stream = io.BytesIO()
     with house_style():
         figure.savefig(stream, format="png", dpi=dpi)

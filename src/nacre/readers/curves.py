@@ -6,7 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pydantic
@@ -18,11 +18,7 @@ from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptio
 from nacre.readers.registry import open_file
 from nacre.readers.text_table import TextTable, number
 from nacre.readers.units import UNITS, Floats, parse_unit
-from nacre.recipe.model import RecipeModel, show_value
-
-if TYPE_CHECKING:
-    from nacre.recipe.model import RecipeContext
-
+from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 logger = logging.getLogger("nacre")
 _AXES = ("wavelength_nm", "angle_of_incidence_deg")

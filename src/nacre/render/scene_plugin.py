@@ -1,15 +1,13 @@
 """The `nacre` BSDF in Mitsuba scenes: registration in spectral variants, and loading from `{"type": "nacre", ...}`."""
 
-import contextlib
 import importlib.util
 import itertools
 import os
 import weakref
-from collections.abc import Iterator
 from typing import Any, NoReturn
 
 from nacre.bsdf import Bsdf
-from nacre.core.errors import NacreError, RecipeError, UnsupportedError
+from nacre.core.errors import RecipeError, UnsupportedError
 from nacre.device.bsdf import make_bsdf
 from nacre.device.variant import RGB, VARIANTS, check_set_variant, import_mitsuba
 from nacre.material.material import load
@@ -17,7 +15,6 @@ from nacre.material.material import load
 _installed = False
 _registered: weakref.WeakValueDictionary[str, Bsdf] = weakref.WeakValueDictionary()
 _numbers = itertools.count()
-_failures: list[NacreError] = []
 
 
 def install() -> None:
@@ -69,23 +66,6 @@ def register_bsdf(bsdf: Bsdf) -> str:
     return key
 
 
-@contextlib.contextmanager
-def clear_errors() -> Iterator[None]:
-    """Replace scene-loading errors by one line; Mitsuba wraps plugin errors with their traceback.
-
-    Raises:
-        NacreError: our plugin's error, else the first lines from Mitsuba.
-    """
-    _failures.clear()
-    try:
-        yield
-    except RuntimeError as error:
-        if _failures:
-            raise _failures[0] from None
-        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        raise RecipeError(f"scene: {' '.join(lines[:2]) or 'cannot be loaded'}") from None
-
-
 def from_properties(properties: Any) -> Any:
     """Build a scene entry's BSDF; keys: recipe, file or bsdf; two_sided (default false), v_up (default true).
 
@@ -96,23 +76,19 @@ def from_properties(properties: Any) -> Any:
         NacreError: unreadable or invalid file.
         MachineError: the current variant does not work on this machine.
     """
-    try:
-        import mitsuba as mi
+    import mitsuba as mi
 
-        check_set_variant(str(mi.variant()))
-        bsdf = _source(properties)
-        two_sided, v_up = _switch(properties, "two_sided", False), _switch(properties, "v_up", True)
-        if "v_up" not in properties and any(lobe.varying for lobe in bsdf.lobes):
-            name = next((str(properties[key]) for key in ("recipe", "file", "bsdf") if key in properties), "nacre")
-            mi.Log(
-                mi.LogLevel.Warn,
-                f"{name} varies over the surface, and v is taken to run upward. On shapes of type obj and sphere "
-                "v runs downward: give the bsdf v_up = false there, or v_up = true to end this message",
-            )
-        return make_bsdf(bsdf, two_sided=two_sided, properties=properties, v_up=v_up)
-    except NacreError as error:
-        _failures.append(error)
-        raise
+    check_set_variant(str(mi.variant()))
+    bsdf = _source(properties)
+    two_sided, v_up = _switch(properties, "two_sided", False), _switch(properties, "v_up", True)
+    if "v_up" not in properties and any(lobe.varying for lobe in bsdf.lobes):
+        name = next((str(properties[key]) for key in ("recipe", "file", "bsdf") if key in properties), "nacre")
+        mi.Log(
+            mi.LogLevel.Warn,
+            f"{name} varies over the surface, and v is taken to run upward. On shapes of type obj and sphere "
+            "v runs downward: give the bsdf v_up = false there, or v_up = true to end this message",
+        )
+    return make_bsdf(bsdf, two_sided=two_sided, properties=properties, v_up=v_up)
 
 
 def _source(properties: Any) -> Bsdf:

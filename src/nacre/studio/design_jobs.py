@@ -13,7 +13,7 @@ import re
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from nacre.optimise.problem import Budget
 from nacre.optimise.run import choose_search, outcome
 from nacre.optimise.solutions import Solution
 from nacre.optimise.targets import Target
-from nacre.optimise.task import DesignTask
+from nacre.optimise.task import DesignTask, read_task
 from nacre.optimise.thin_film.adapter import ThinFilmSearch
 from nacre.optimise.tolerances import draw
 from nacre.recipe.paths import find_by_path
@@ -40,10 +40,6 @@ from nacre.recipe.toml import dump_toml, parse_toml
 from nacre.studio.edit import edited
 from nacre.studio.folder import Incidence, OpenedFolder, built, read_lamp, read_number, read_recipe, spectrum_from
 from nacre.studio.subprocess_jobs import Emit
-
-if TYPE_CHECKING:
-    from nacre.optimise.task import DesignTask
-
 
 WARM_UP_S = 0.05
 PROGRESS_S, SOLUTION_S = 0.25, 0.6  # shortest time between two progress events; between two solutions
@@ -528,8 +524,6 @@ def task_of(request: Mapping[str, Any]) -> DesignTask:
     Raises:
         NacreError: the recipe is invalid or reads a file outside its fence, or cannot be designed for these targets.
     """
-    from nacre.optimise.task import read_task
-
     material = built(request["recipe"])  # applies the fence before any file is read
     if "heights" in material.data:
         raise UnsupportedError(RELIEF_REFUSED)

@@ -269,12 +269,7 @@ def render_picture(request: Mapping[str, Any], emit: Emit) -> None:
 
 
 def _png(result: RenderResult) -> str:
-    from PIL import Image
-
-    from nacre.core.html import png_uri
+    from nacre.core.html import png_bytes, png_uri
     from nacre.light import clip_to_srgb, srgb_encode
 
-    pixels = (255.0 * srgb_encode(clip_to_srgb(result.rgb).rgb) + 0.5).astype("uint8")
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG")
-    return png_uri(buffer.getvalue())
+    return png_uri(png_bytes((255.0 * srgb_encode(clip_to_srgb(result.rgb).rgb) + 0.5).astype("uint8")))

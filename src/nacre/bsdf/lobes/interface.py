@@ -441,10 +441,3 @@ class Diffuse(Lobe):
         cos = np.asarray(cos_i, dtype=float)
         coords = parameter_coordinates(self.parameters, uv, cos.shape)
         return interpolate(self.under_smooth, (*coords, np.maximum(cos, 0) * (self.under_smooth.shape[-2] - 1)))
-
-
-def bare_base(wavelengths_nm: Array, albedo: Array) -> Diffuse:
-    """Return a bare Lambertian base with the given albedo spectrum."""
-    wavelengths_nm = np.asarray(wavelengths_nm, dtype=float)
-    scale = np.broadcast_to(np.asarray(albedo, dtype=float), wavelengths_nm.shape).copy()
-    return Diffuse(wavelengths_nm, scale, np.ones((1, len(wavelengths_nm))))

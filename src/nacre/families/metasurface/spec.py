@@ -14,7 +14,7 @@ import numpy as np
 import pydantic
 from numpy.typing import NDArray
 
-from nacre.core.errors import MaterialRangeError, UnsupportedError
+from nacre.core.errors import MaterialRangeError, UnsupportedError, did_you_mean
 from nacre.families.contract import Fabricable, Figure, OwnFormats, Writer
 from nacre.families.metasurface.ensemble import EnsembleSettings
 from nacre.families.metasurface.material import Metasurface
@@ -97,8 +97,6 @@ class StructureSpec(RecipeModel):
     def _accept_name(cls, data: Any) -> Any:
         if isinstance(data, str):
             if data not in ARRANGEMENTS:
-                from nacre.core.errors import did_you_mean
-
                 raise ValueError(
                     f"= {show_value(data)} is not known.{did_you_mean(data, ARRANGEMENTS)} "
                     f'Write {", ".join(ARRANGEMENTS)}, {{points = "xy.csv"}} or {{sq = "s.csv"}}'

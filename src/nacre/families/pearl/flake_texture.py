@@ -16,7 +16,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from threading import Lock
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,10 +26,6 @@ from nacre.core.errors import UnsupportedError
 from nacre.families.pearl.platelet import FlakeNormals, Platelet, optical_number, orthonormal_basis, platelet_response
 from nacre.families.pearl.strata import Flakes, Stratum, dye_response
 from nacre.families.pearl.surrogate import TRUNCATION
-
-if TYPE_CHECKING:
-    from nacre.families.pearl.strata import Stratum
-
 
 DEPTH_NODES = 17
 COS_NODES = 257

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +15,6 @@ from nacre.families.pearl.platelet import FlakeNormals, Platelet
 from nacre.families.pearl.thickness import Thickness
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.mie import default_order, mie_amplitudes, mie_coefficients, mie_efficiencies
-
-if TYPE_CHECKING:
-    from nacre.matter.indices.constant import OpticalConstant
 
 
 @dataclass(frozen=True)

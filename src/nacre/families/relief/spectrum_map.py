@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
-from nacre.bsdf.lobes.spectrum_map import SpectrumMap
+from nacre.bsdf.lobes.spectrum_map import SpectrumMap, albedo_shares
 from nacre.core.errors import UnsupportedError
 from nacre.core.machine import available_jobs, check_memory, in_threads
 from nacre.families.relief.diffraction_orders import (
@@ -392,8 +392,6 @@ def energy_guard(lobe: SpectrumMap, blur: float) -> tuple[Array, Array]:
         lobe: with a guard of 1.
         blur: smoothing of its spectrum, in direction cosines.
     """
-    from nacre.bsdf.lobes.spectrum_map import albedo_shares
-
     chosen = _guard_wavelengths(len(lobe.wavelengths_nm))
     rings = _guard_rings()
     wi = _guard_rows(rings)

@@ -10,6 +10,7 @@ Tibshirani, An Introduction to the Bootstrap, 1993, ch. 9).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +24,7 @@ from nacre.core.machine import in_threads
 from nacre.light import delta_e_2000
 from nacre.measure.evaluate import DEFAULT_SAMPLES
 from nacre.optimise.merit import MeritFunction
+from nacre.optimise.parameters import combinations
 from nacre.optimise.problem import PENALTY, STOP_TOL, Problem, Search
 
 SCOUTS_PER_PARAMETER = 24
@@ -300,15 +302,7 @@ class LeastSquaresSearch(Search):
 
     def _enumerate(self) -> None:
         """Evaluate every combination of categorical and integer parameters, as far as the budget goes."""
-        parameters = self.problem.parameters
-        counts = [len(p.choices) if p.choices else int(p.high - p.low) + 1 for p in parameters]
-        for index in range(min(int(np.prod(counts, dtype=float)), 1 << 16)):
-            picks = np.unravel_index(index, counts)
-            units = [
-                (pick + 0.5) / count if p.choices else pick / max(count - 1, 1)
-                for p, pick, count in zip(parameters, picks, counts, strict=True)
-            ]
-            point = np.array(units)
+        for point in itertools.islice(combinations(self.problem.parameters)[1], 1 << 16):
             self.archive.add(self._objective(point), self.problem.changes(point))
 
     def _starts(self, waiting: list[Array]) -> Iterator[Array]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import tempfile
 import time
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.files import atomic_path, write_text
-from nacre.core.html import png_uri, render_page
+from nacre.core.html import png_bytes, png_uri, render_page
 from nacre.core.jit import seconds_compiled
 from nacre.core.machine import available_jobs, single_threaded_blas
 from nacre.families.relief.material import Relief
@@ -295,12 +294,8 @@ def write_preview(path: Path, problem: Problem, rgb: NDArray[Any], losses: Losse
 
 
 def _png(image: Array, enlarge: int) -> bytes:
-    from PIL import Image
-
     pixels = np.round(255.0 * image).astype(np.uint8)
-    stream = io.BytesIO()
-    Image.fromarray(np.repeat(np.repeat(pixels, enlarge, axis=0), enlarge, axis=1)).save(stream, "PNG")
-    return stream.getvalue()
+    return png_bytes(np.repeat(np.repeat(pixels, enlarge, axis=0), enlarge, axis=1))
 
 
 def _slopes(problem: Problem, heights_nm: Array) -> tuple[Array, dict[str, float]]:

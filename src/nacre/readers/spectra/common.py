@@ -18,6 +18,7 @@ MAX_TEXT_BYTES = 256 << 20
 MAX_METADATA = 40
 VISIBLE_NM = (400.0, 700.0)
 QUANTITIES = ("reflectance", "transmittance", "absorptance", "absorbance", "counts", "irradiance")
+SCALED = ("reflectance (%)", "reflectance (1)", *QUANTITIES[1:])  # where the scale is not stated either
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][-+]?\d+)?")
 _NAN = ("nan", "-nan", "nan(ind)", "inf", "-inf", "#n/a", "na", "n/a", "--", "1.#qnan", "-1.#ind", "1.#inf")
@@ -442,8 +443,7 @@ def by_size(path: Path, nm: Array, values: Array, notes: Notes, what: str, *, li
     if 5 <= size <= (1000 if "no quantity" not in what else MOST_UNNAMED):
         notes.assumed.append(f"{what}: {likely} in per cent, because the values are up to {size:.4g}")
         return Label(likely, 0.01)
-    choices = ("reflectance (%)", "reflectance (1)", *QUANTITIES[1:])
-    raise AmbiguousFileError(f"{path}: {what}, and values up to {size:.4g} do not decide", "quantity", choices)
+    raise AmbiguousFileError(f"{path}: {what}, and values up to {size:.4g} do not decide", "quantity", SCALED)
 
 
 def named_quantity(
@@ -458,8 +458,7 @@ def named_quantity(
     if label is not None:
         return label
     if stated.strip():
-        choices = ("reflectance (%)", "reflectance (1)", *QUANTITIES[1:])
-        raise AmbiguousFileError(f'{path}: "{stated.strip()}" is no known quantity of a spectrum', "quantity", choices)
+        raise AmbiguousFileError(f'{path}: "{stated.strip()}" is no known quantity of a spectrum', "quantity", SCALED)
     return by_size(path, nm, values, notes, unnamed)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
-from nacre.readers.registry import CERTAIN, LIKELY, FileHead
+from nacre.readers.registry import CERTAIN, LIKELY, FileHead, head_of
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Label, Notes
 
@@ -179,8 +179,6 @@ def _given(page: Page, name: str) -> tuple[Array, Path]:
     Raises:
         NacreError: unreadable, no title of the library, or another number of channels.
     """
-    from nacre.readers.registry import head_of
-
     path = head_of(name).path
     other = _page(path)
     if len(other.values) != len(page.values):
@@ -570,8 +568,7 @@ def _spc_label(path: Path, head: Head) -> Label:
     if label is None and len(head.labels) > 1:
         label = common.label_of(head.labels[1])
     if label is None:
-        choices = ("reflectance (%)", "reflectance (1)", *common.QUANTITIES[1:])
-        raise AmbiguousFileError(f"{path}: the ordinate has type {head.y_type}, no quantity", "quantity", choices)
+        raise AmbiguousFileError(f"{path}: the ordinate has type {head.y_type}, no quantity", "quantity", common.SCALED)
     return label
 
 
