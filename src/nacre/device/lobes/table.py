@@ -3,6 +3,7 @@
 Nearly Lambertian tables use cosine-weighted sampling instead, at half the cost and equal noise.
 """
 
+import dataclasses
 import itertools
 import math
 from typing import Any
@@ -76,6 +77,7 @@ class TablePlugin(plugin.LobePlugin[TableLobe]):
         densities = np.empty((VIEW_NODES, AZIMUTH_NODES, EXIT_NODES), dtype=np.float32)
         means, squares = np.empty(VIEW_NODES), np.empty(VIEW_NODES)
         turns = np.arange(TURNS) * (2 * math.pi / TURNS) if lobe.nodes_turn is not None else np.zeros(1)
+        lobe = _averaged(lobe)
         # directions are drawn on both sides with equal probability
         sides = (1.0, -1.0) if lobe.is_signed else (1.0,)
         for k, angle in enumerate(ti):
@@ -216,6 +218,14 @@ def _multilinear(corners: list[Any], parts: list[Any]) -> Any:
     for part in reversed(parts):
         corners = [dr.lerp(near, far, part) for near, far in zip(corners[::2], corners[1::2], strict=True)]
     return corners[0]
+
+
+def _averaged(lobe: TableLobe) -> TableLobe:
+    """Return the table of the wavelength-averaged f, in one channel; the table itself if f may be clamped at zero."""
+    if lobe.values.min() < 0.0 or lobe.basis.min() < 0.0:
+        return lobe
+    values = (lobe.values @ lobe.basis.mean(axis=1))[..., None]
+    return dataclasses.replace(lobe, wavelengths_nm=lobe.wavelengths_nm[:1], values=values, basis=np.ones((1, 1)))
 
 
 def _view(wi: Any) -> Any:
