@@ -298,8 +298,8 @@ def write_stl(
     floor[..., 2] = 0.0
     parts = [_quads(top), _quads(floor)[:, ::-1]]
     # around the border, solid on the left
-    for side in (np.s_[:, 0], np.s_[-1], np.s_[::-1, -1], np.s_[0, ::-1]):
-        parts.append(_quads(np.stack([floor[side], top[side]], axis=1)))
+    sides = (np.s_[:, 0], np.s_[-1], np.s_[::-1, -1], np.s_[0, ::-1])
+    parts += [_quads(np.stack([floor[side], top[side]], axis=1)) for side in sides]
     corners = np.concatenate(parts)
     records = np.zeros(len(corners), dtype=_RECORD)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

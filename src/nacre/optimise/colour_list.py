@@ -19,7 +19,7 @@ from nacre.core.files import named, plain, why_unreadable
 from nacre.light import lch_to_lab
 from nacre.optimise.targets import plausible
 from nacre.readers.colour_tables import check_scale, named_lab
-from nacre.readers.columns import knows
+from nacre.readers.columns import as_float, knows
 from nacre.readers.headings import Meaning, light_above, meanings
 from nacre.readers.measurement import Measurement
 from nacre.readers.registry import POSSIBLE, open_file, recognise
@@ -150,7 +150,7 @@ def _file_rows(
         table, numbers = _without_texture(table, quantities)
         found = _rows_of_table(table, targets, light, geometries)
         return [replace(row, texture=each) for row, each in zip(found, numbers, strict=True)] if numbers else found
-    if lines and not any(_number(cell) is not None for cell in lines[0][1]):
+    if lines and not any(as_float(cell) is not None for cell in lines[0][1]):
         number, heading = lines.pop(0)
         if lines or not _names_colours(heading):
             where = f"{path}: line {number}"
@@ -192,10 +192,9 @@ def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, ligh
     cells = [row[places[0]].lstrip("#") for _, row in lines[1:]]
     if not cells or not all(_HEX.fullmatch(cell) for cell in cells):
         return []
-    digits = [cell if len(cell) == 6 else "".join(2 * digit for digit in cell) for cell in cells]
     name = next((i for i, cell in enumerate(heading) if any(each.quantity == "name" for each in meanings(cell))), None)
     names = [row[name] if name is not None else "" for _, row in lines[1:]]
-    data = {"srgb": np.array([srgb_of_hex(path, f"#{each}") for each in digits])}
+    data = {"srgb": np.array([srgb_of_hex(path, each) for each in cells])}
     metadata = {"names": names}
     _, lab = _adapted(path, [Measurement(path, "colours", data, "", metadata)], light)
     return [ColourRow(one, np.repeat(each[None], targets, axis=0)) for one, each in zip(names, lab, strict=True)]
@@ -208,7 +207,7 @@ def _names_colours(heading: Sequence[str]) -> bool:
 def _headed(path: Path, text: str) -> TextTable | None:
     """Return the table of a list with headings; None without."""
     first = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
-    if any(_number(cell) is not None for cell in split(first, find_delimiter(text.splitlines()))):
+    if any(as_float(cell) is not None for cell in split(first, find_delimiter(text.splitlines()))):
         return None
     tables = parse_tables(text, path, knows).tables
     return tables[0] if tables and tables[0].headings else None
@@ -392,23 +391,16 @@ def cells_of(text: str) -> Iterator[tuple[int, list[str]]]:
 def _is_named_row(line: str) -> bool:
     """Whether a line is a colour whose name starts with #, as "#1;52;-30;28", not a remark."""
     cells = [_with_point(cell.strip()) for cell in split(line, find_delimiter([line]))]
-    return len(cells) > 3 and line[1:2].strip() != "" and all(_number(cell) is not None for cell in cells[1:])
+    return len(cells) > 3 and line[1:2].strip() != "" and all(as_float(cell) is not None for cell in cells[1:])
 
 
 def _with_name_joined(cells: list[str]) -> list[str]:
-    first = next((place for place, cell in enumerate(cells) if _number(cell) is not None), 0)
+    first = next((place for place, cell in enumerate(cells) if as_float(cell) is not None), 0)
     return [" ".join(cells[:first]), *cells[first:]] if first > 1 else cells
 
 
 def _with_point(cell: str) -> str:
-    return cell.replace(",", ".") if _number(cell.replace(",", ".")) is not None else cell
-
-
-def _number(cell: str) -> float | None:
-    try:
-        return float(cell)
-    except ValueError:
-        return None
+    return cell.replace(",", ".") if as_float(cell.replace(",", ".")) is not None else cell
 
 
 def _row(cells: Sequence[str], targets: int, where: str) -> ColourRow:
@@ -419,7 +411,7 @@ def _row(cells: Sequence[str], targets: int, where: str) -> ColourRow:
     if len(words) not in (3, 3 * targets):
         form = "L, a, b, or name, L, a, b" + ("" if targets == 1 else f", or {targets} such triples")
         raise RecipeError(f"{where}: {given} should hold {form}")
-    numbers = [_number(word) for word in words]
+    numbers = [as_float(word) for word in words]
     for word, number in zip(words, numbers, strict=True):
         if number is None or not math.isfinite(number):
             raise RecipeError(f"{where}: {show_value(word)} is not a number; a row is L, a, b, or name, L, a, b")

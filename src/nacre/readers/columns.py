@@ -398,7 +398,7 @@ def polarisations(columns: Columns) -> list[str] | None:
     """
     words = columns.texts.get("polarisation")
     if words is not None:
-        numbers = [_number(word) for word in words]
+        numbers = [as_float(word) for word in words]
         if all(value is None for value in numbers):
             found = [polarisation_word(word) for word in words]
             if None in found:
@@ -420,7 +420,8 @@ def polarisations(columns: Columns) -> list[str] | None:
     return ["p" if p else "s" if s else "unpolarised" for p, s in zip(is_p, is_s)]
 
 
-def _number(word: str) -> float | None:
+def as_float(word: str) -> float | None:
+    """Return a word as a number, or None."""
     try:
         return float(word)
     except ValueError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,23 @@ from nacre.readers.units import SPECTRAL, UNITS, Floats, parse_unit, to_nm
 QUANTITIES = ("n", "k", "eps1", "eps2", "alpha")
 MAX_INDEX = 100.0  # far above any optical material
 NOISE_K = 0.01  # k of a clear film scatters about 0 by less in ellipsometry and photometry
+
+
+def sampled(
+    path: Path, nm: Floats, n: Floats, k: Floats, assumed: Sequence[str] = (), left_out: Sequence[str] = (),
+    name: str | None = None, metadata: Mapping[str, Any] | None = None,
+) -> Measurement:  # fmt: skip
+    """Return n and k at wavelengths as a measurement, ascending in wavelength; its name is that of the file by default.
+
+    Raises:
+        NacreError: impossible constants, or two values at a wavelength.
+    """
+    notes = list(assumed)
+    nm, given = sorted_by_wavelength(path, nm, {"n": n, "k": k})
+    n, k = checked(path, nm, given["n"], given["k"], notes)
+    data = {"wavelength_nm": nm, "n": n, "k": k}
+    name = path.stem if name is None else name
+    return Measurement(path, "constants", data, name, metadata or {}, tuple(notes), tuple(left_out))
 
 
 def index_of_permittivity(eps1: Floats, eps2: Floats) -> tuple[Floats, Floats]:
@@ -175,10 +193,7 @@ def _material_nexus_dispersion(path: Path, file: Any, entry: str) -> Measurement
         if found is not None:
             nm, n, k = found
             assumed = ["n and k are the file's own samples of a formula"] if place.endswith("/plot") else []
-            nm, given = sorted_by_wavelength(path, nm, {"n": n, "k": k})
-            n, k = checked(path, nm, given["n"], given["k"], assumed)
-            data = {"wavelength_nm": nm, "n": n, "k": k}
-            return Measurement(path, "constants", data, path.stem, {}, tuple(assumed), tuple(left_out))
+            return sampled(path, nm, n, k, assumed, left_out)
     raise NacreError(f"{path}: is a NeXus dispersion by a formula without a table; export a table of n and k")
 
 
@@ -259,11 +274,7 @@ def read_rii_page(path: Path, options: ReadOptions) -> list[Measurement]:
         if not np.array_equal(columns["k"][0], nm):
             raise NacreError(f"{path}: n and k are for different wavelengths")
         k = columns["k"][1]
-    nm, given = sorted_by_wavelength(path, nm, {"n": n, "k": k})
-    assumed: list[str] = []
-    n, k = checked(path, nm, given["n"], given["k"], assumed)
-    data = {"wavelength_nm": nm, "n": n, "k": k}
-    return [Measurement(path, "constants", data, path.stem, {}, tuple(assumed))]
+    return [sampled(path, nm, n, k)]
 
 
 def _rows(path: Path, text: str) -> Floats:
@@ -315,11 +326,8 @@ def read_sopra(path: Path, options: ReadOptions) -> list[Measurement]:
     table = np.array(rows)
     if table[:, 0].min() < 1.0:
         raise NacreError(f"{path}: an abscissa of {table[:, 0].min():g} is no wavelength in nm")
-    nm, given = sorted_by_wavelength(path, table[:, 0], {"n": table[:, 1], "k": table[:, 2]})
-    assumed: list[str] = ["the wavelengths are in nm, as in the database of SOPRA"]
-    n, k = checked(path, nm, given["n"], given["k"], assumed)
-    data = {"wavelength_nm": nm, "n": n, "k": k}
-    return [Measurement(path, "constants", data, path.stem, {}, tuple(assumed))]
+    assumed = ["the wavelengths are in nm, as in the database of SOPRA"]
+    return [sampled(path, table[:, 0], table[:, 1], table[:, 2], assumed)]
 
 
 # Pairs of spectral files of Mitsuba and PBRT: `Au.eta.spd` with n and `Au.k.spd` with k over nm.
@@ -361,10 +369,9 @@ def read_spd_pair(path: Path, options: ReadOptions) -> list[Measurement]:
     (nm, mine), (other_nm, theirs) = _columns(path), _columns(other)
     if nm.shape != other_nm.shape or not np.allclose(nm, other_nm, rtol=1e-6):
         raise NacreError(f"{path}: {other.name} has other wavelengths; n and k belong to the same ones")
+    n, k = (mine, theirs) if is_n else (theirs, mine)
     assumed = ["the wavelengths are in nm, as Mitsuba and PBRT define"]
-    n, k = checked(path, nm, *((mine, theirs) if is_n else (theirs, mine)), assumed)
-    data = {"wavelength_nm": nm, "n": n, "k": k}
-    return [Measurement(path, "constants", data, match[1], {"files": [path.name, other.name]}, tuple(assumed))]
+    return [sampled(path, nm, n, k, assumed, name=match[1], metadata={"files": [path.name, other.name]})]
 
 
 def _columns(path: Path) -> tuple[Floats, Floats]:
@@ -501,15 +508,11 @@ def read_zemax_coating(path: Path, options: ReadOptions) -> list[Measurement]:
                 raise NacreError(f'{path}: line {place}: "{line.strip()[:40]}" is not wavelength, n and k')
             current.append([value for value in row if value is not None] + [0.0] * (3 - len(row)))
     left_out = (f"no materials: {', '.join(others)[:200]}",) if others else ()
-    found = [_material_zemax_coating(path, name, np.array(rows), left_out) for name, rows in materials.items() if rows]
+    tables = {name: np.array(rows) for name, rows in materials.items() if rows}
+    found = [
+        sampled(path, 1e3 * table[:, 0], table[:, 1], 0.0 - table[:, 2], left_out=left_out, name=name)
+        for name, table in tables.items()
+    ]
     if not found:
         raise NacreError(f"{path}: holds no material (MATE) with rows of wavelength, n and k")
     return found
-
-
-def _material_zemax_coating(path: Path, name: str, table: np.ndarray, left_out: tuple[str, ...]) -> Measurement:
-    nm, given = sorted_by_wavelength(path, 1e3 * table[:, 0], {"n": table[:, 1], "k": -table[:, 2]})
-    assumed: list[str] = []
-    n, k = checked(path, nm, given["n"], given["k"] + 0.0, assumed)
-    data = {"wavelength_nm": nm, "n": n, "k": k}
-    return Measurement(path, "constants", data, name, {}, tuple(assumed), left_out)

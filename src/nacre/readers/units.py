@@ -55,11 +55,6 @@ def parse_unit(text: str) -> str | None:
     return _UNIT_OF.get(word) or _UNIT_OF.get(word.lower()) or _UNIT_OF.get(word.lower().rstrip("."))
 
 
-def dimension(unit: str) -> str:
-    """Return the dimension of a canonical unit."""
-    return UNITS[unit][0]
-
-
 def to_nm(values: Floats, unit: str) -> Floats:
     """Convert a spectral quantity to vacuum wavelengths in nm; 0 becomes inf.
 

@@ -62,10 +62,6 @@ class Lamp:
     irradiance: Array
     radius_rad: float
 
-    def matt(self, normal: Array) -> Array:
-        """Return the radiance `[3]` from a matt white surface in its light."""
-        return np.asarray(self.irradiance * max(float(normal @ self.towards), 0.0) / np.pi)
-
 
 @dataclass(frozen=True)
 class Surroundings:

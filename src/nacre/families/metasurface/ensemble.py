@@ -156,10 +156,8 @@ class Ensemble:
             angle = np.arcsin(sines)
             step = np.floor(angle / WIDEST * LIGHTS[below]) + rng.random(len(every))
             _, lights = np.unique(np.floor(step[np.argsort(step)]), return_index=True)
-            parts = []
-            for rows in (views[np.argsort(angle[views])], np.argsort(step)[lights]):
-                parts.append(self.side(every[rows], below))
-            out.append((parts[0], parts[1]))
+            seen, lit = views[np.argsort(angle[views])], np.argsort(step)[lights]
+            out.append((self.side(every[seen], below), self.side(every[lit], below)))
         return out
 
     def side(self, wavevectors: Array, below: bool) -> Side:

@@ -333,11 +333,11 @@ def read_window_xml(path: Path, options: ReadOptions) -> list[Measurement]:
             "convert a tensor tree by Radiance's bsdf2klems"
         )
     name = next((node.text or "" for node in root.iter("Name")), "").strip()
-    found = []
-    for data in root.iter("WavelengthData"):
-        label = _text(data, "Wavelength")
-        for block in data.iter("WavelengthDataBlock"):
-            found.append(_block_window_xml(path, name, label, block, bases, structure == "Columns"))
+    found = [
+        _block_window_xml(path, name, _text(data, "Wavelength"), block, bases, structure == "Columns")
+        for data in root.iter("WavelengthData")
+        for block in data.iter("WavelengthDataBlock")
+    ]
     if not found:
         raise NacreError(f"{path}: holds no block of scattering data")
     return found

@@ -569,6 +569,12 @@ def ratio(sample: ArrayLike, dark: ArrayLike, reference: ArrayLike) -> Array:
         return np.where(r == d, np.nan, (s - d) / (r - d))
 
 
+def absorbance(sample: ArrayLike, dark: ArrayLike, reference: ArrayLike) -> Array:
+    """Return -log10 of `ratio`."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(-np.log10(ratio(sample, dark, reference)))
+
+
 def check_count(path: Path, stated: float | str | None, got: int, what: str) -> None:
     """Check that a file is complete.
 

@@ -353,11 +353,6 @@ class OleFile:
                 self._entries[entry[: max(0, length - 2)].decode("utf-16-le", errors="replace")] = (first, size)
         self._mini_stream = root
 
-    @property
-    def names(self) -> list[str]:
-        """Names of all streams, without their storages."""
-        return list(self._entries)
-
     def stream(self, name: str) -> bytes:
         """Return a stream's content.
 

@@ -388,20 +388,18 @@ def _measurement(
     quantity = stated.quantity if stated is not None else quantity
     if quantity is None:
         raise AmbiguousFileError(f"{path}: the mode {mode} states no quantity", "quantity", common.QUANTITIES)
-    has_reference = bool(np.any(np.isfinite(reference) & (reference != dark)))
-    if quantity in ("reflectance", "transmittance") and has_reference:
-        values = common.ratio(sample, dark, reference)
-        counts = {"sample_counts": sample, "dark_counts": dark, "reference_counts": reference}
-        return common.spectrum(
-            path, nm, values, Label(quantity, 1.0), options, name=name, metadata=metadata, more=counts
-        )
-    if quantity == "absorbance" and has_reference:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            values = -np.log10(common.ratio(sample, dark, reference))
-        return common.spectrum(path, nm, values, Label("absorbance", 1.0), options, name=name, metadata=metadata)
     if quantity == "irradiance":
         raise NacreError(f"{path}: is an irradiance, whose calibration is not in the file; export text")
-    return common.spectrum(path, nm, sample, Label("counts", 1.0), options, name=name, metadata=metadata)
+    values, more = sample, None
+    has_reference = bool(np.any(np.isfinite(reference) & (reference != dark)))
+    if not has_reference or quantity not in ("reflectance", "transmittance", "absorbance"):
+        quantity = "counts"
+    elif quantity == "absorbance":
+        values = common.absorbance(sample, dark, reference)
+    else:
+        values = common.ratio(sample, dark, reference)
+        more = {"sample_counts": sample, "dark_counts": dark, "reference_counts": reference}
+    return common.spectrum(path, nm, values, Label(quantity, 1.0), options, name=name, metadata=metadata, more=more)
 
 
 def _layout(data: bytes, size: int) -> tuple[int, int, int, int] | None:
@@ -449,10 +447,8 @@ def _version_6_7(path: Path, data: bytes, options: ReadOptions) -> Measurement:
     )
     label = common.option_label(path, options)
     label = Label(label.quantity if label else "reflectance", 1.0)
-    values = common.ratio(sample, dark, reference)
-    if label.quantity == "absorbance":
-        with np.errstate(divide="ignore", invalid="ignore"):
-            values = -np.log10(values)
+    of_counts = common.absorbance if label.quantity == "absorbance" else common.ratio
+    values = of_counts(sample, dark, reference)
     counts = {"sample_counts": sample, "dark_counts": dark, "reference_counts": reference}
     return common.spectrum(path, nm, values, label, options, metadata=metadata, notes=notes, more=counts)
 
