@@ -137,11 +137,12 @@ def _crop(points: Array, box: list[float]) -> tuple[int, float, bool] | None:
 
 
 def _count(points: Array, boxes: Array) -> Array:
+    """Count the points in each box; sorted by z, those of its height alone are compared."""
+    z, phi = points[np.argsort(points[:, 0])].T
     counts = np.zeros(len(boxes), dtype=np.int64)
     for i, (z0, z1, p0, p1) in enumerate(boxes):
-        top = points[:, 0] <= z1 if z1 == 1.0 else points[:, 0] < z1
-        right = points[:, 1] <= p1 if p1 == np.pi else points[:, 1] < p1
-        counts[i] = np.count_nonzero((points[:, 0] >= z0) & top & (points[:, 1] >= p0) & right)
+        turn = phi[np.searchsorted(z, z0) : np.searchsorted(z, z1, "right" if z1 == 1.0 else "left")]
+        counts[i] = np.count_nonzero((turn >= p0) & ((turn <= p1) if p1 == np.pi else (turn < p1)))
     return counts
 
 

@@ -20,7 +20,7 @@ from nacre.material.material import material
 
 MEAN_BAR = 0.02  # of the stated error, issue's bar
 SAMPLE_BAR = 0.005
-REFERENCE_NOISE_BAR = 0.003  # of the walks that the stated error is held against, in the same measure
+REFERENCE_NOISE_BAR = 0.006  # of the walks that the stated error is held against, in the same measure
 CHI_SQUARE_LEVEL = 0.01
 EFFORT = 0.1  # of a bake in the plain tests
 
@@ -347,21 +347,22 @@ def random_material(seed: int) -> Layered:
 @pytest.mark.full
 def test_the_stated_error_holds_for_nineteen_of_twenty_random_materials(monkeypatch):
     """Against walks of their own, in the bins of the check, where noise is taken off in the mean; and in bins so
-    large, and so many walks, that the noise itself is below 0.3 % of the light."""
+    large that the noise itself is below 0.6 % of the light. It is taken off there too: what is left of it, in twelve
+    bins, adds the square of 0.4 % to that of the error, or takes it off."""
     import nacre.families.pearl.tables as fast
 
     made = [(lobe := random_material(seed), bake(lobe, 0.35, seed=1)) for seed in range(20)]
-    fine = [check(lobe, table, 0.7, seed=9000 + seed)[0] for seed, (lobe, table) in enumerate(made)]
+    fine = [check(lobe, table, 0.35, seed=9000 + seed)[0] for seed, (lobe, table) in enumerate(made)]
     assert sum(error.mean() <= table.error.mean() for error, (_, table) in zip(fine, made, strict=True)) >= 19
     monkeypatch.setattr(fast, "CHECK_BINS", np.array([6, 2]))
     monkeypatch.setattr(fast, "MIDPOINTS", np.array([40, 18]))
     held, stated = 0, []
     for seed, (lobe, table) in enumerate(made):
-        walks = needed = 400_000
+        walks = needed = 100_000
         while needed <= 3_200_000:
             walks = needed
-            monkeypatch.setattr(fast, "CHECK_WALKS", walks)
-            error, noise = check(lobe, table, 1.0, seed=5000 + seed)
+            monkeypatch.setattr(fast, "CHECK_WALKS", 4 * walks)
+            error, noise = check(lobe, table, 0.25, seed=5000 + seed)
             if noise.mean() < REFERENCE_NOISE_BAR:
                 break
             needed = 2 * walks  # or the least power of two that suffices, as noise falls with the root of the walks
