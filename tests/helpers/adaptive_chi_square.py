@@ -86,9 +86,9 @@ def _cells(points: Array, count: int) -> Array:
     """Cut the sphere into boxes `[cell, (z0, z1, phi0, phi1)]` of equal numbers of points, split at the horizon."""
     done: list[tuple[float, float, float, float]] = []
     work = []
-    for low, high in ((-1.0, 0.0), (0.0, 1.0)):
-        inside = points[(points[:, 0] >= low) & (points[:, 0] <= high)]
-        work.append((inside, [low, high, -np.pi, np.pi]))
+    for bottom, top in ((-1.0, 0.0), (0.0, 1.0)):
+        inside = points[(points[:, 0] >= bottom) & (points[:, 0] <= top)]
+        work.append((inside, [bottom, top, -np.pi, np.pi]))
     least = max(len(points) // count, 8)
     while work:
         inside, box = work.pop()
@@ -105,7 +105,8 @@ def _cells(points: Array, count: int) -> Array:
             continue
         # along the axis in which the points spread more of the box
         middle = np.median(inside, axis=0)
-        spread = [np.ptp(np.quantile(inside[:, a], [0.1, 0.9])) / (box[2 * a + 1] - box[2 * a]) for a in (0, 1)]
+        low, high = np.quantile(inside, [0.1, 0.9], axis=0)
+        spread = [(high[a] - low[a]) / (box[2 * a + 1] - box[2 * a]) for a in (0, 1)]
         axis = int(np.argmin(spread))  # the narrower side separates cells most: cut the lobe out first
         if not box[2 * axis] < middle[axis] < box[2 * axis + 1]:
             axis = 1 - axis
