@@ -547,10 +547,11 @@ def _projected_area(ndf: Array, ndf_u: Array, ndf_v: Array, theta: Array, phi: A
     mu, mv = (a.ravel() for a in np.meshgrid(u, v, indexing="xy"))
     m = direction(theta_of(mu), phi_of(mv))
     weight = _bilinear(ndf, ndf_u, ndf_v, mu, mv) * mu * np.sin(theta_of(mu)) * 2 * np.pi**2 / (len(u) * len(v))
-    wi = direction(
-        np.broadcast_to(theta, (len(phi), len(theta))), np.broadcast_to(phi[:, None], (len(phi), len(theta)))
-    )
-    return np.maximum(np.maximum(wi @ m.T, 0.0) @ weight, 1e-12)
+    area = np.empty((len(phi), len(theta)))
+    for row, turn in zip(area, phi, strict=True):
+        seen = direction(theta, turn) @ m.T
+        row[:] = np.maximum(seen, 0.0, out=seen) @ weight
+    return np.maximum(area, 1e-12)
 
 
 # Export formats of materials, their requirements, and remarks on an exported file.

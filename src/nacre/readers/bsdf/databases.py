@@ -265,14 +265,20 @@ class Warp:
         row = np.clip(np.searchsorted(self.marginal, y, side="right") - 1, 0, rows - 2)
         totals = self.conditional[:, -1]
         v = _solve(totals[row], totals[row + 1], y - self.marginal[row])
-        blended = (1 - v)[:, None] * self.conditional[row] + v[:, None] * self.conditional[row + 1]
-        target = x * blended[:, -1]
-        column = np.clip((blended <= target[:, None]).sum(axis=1) - 1, 0, columns - 2)
-        everyone = np.arange(len(x))
+        target = x * self._blended(row, v, -1)
+        column = np.zeros(len(x), dtype=int)
+        for step in 2 ** np.arange(columns.bit_length())[::-1]:  # by bisection: the last column that is not beyond
+            further = np.minimum(column + step, columns - 2)
+            column = np.where(self._blended(row, v, further) <= target, further, column)
         left = ((1 - v) * self.density[row, column] + v * self.density[row + 1, column]) * self._unit
         right = ((1 - v) * self.density[row, column + 1] + v * self.density[row + 1, column + 1]) * self._unit
-        u = _solve(left, right, target - blended[everyone, column])
+        u = _solve(left, right, target - self._blended(row, v, column))
         return (column + u) / (columns - 1), (row + v) / (rows - 1)
+
+    def _blended(self, row: Array, v: Array, column: Any) -> Array:
+        """Return the running integral to a column, between two rows."""
+        blended: Array = (1 - v) * self.conditional[row, column] + v * self.conditional[row + 1, column]
+        return blended
 
     def invert(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Map a position back to the uniform (x, y) that `sample` takes there."""
