@@ -449,8 +449,10 @@ def rgl_fields(
     ndf = _retro_ndf(bsdf, ndf_u, ndf_v, is_isotropic)
     sigma = _projected_area(ndf, ndf_u, ndf_v, theta_of(ndf_u), phi_of(ndf_v))
     vndf_rows, vndf_columns = 96, 128
-    u = np.linspace(0, 1, vndf_columns)
-    v = np.linspace(0, 1, vndf_rows)
+    grid_u, grid_v = np.meshgrid(np.linspace(0, 1, vndf_columns), np.linspace(0, 1, vndf_rows), indexing="xy")
+    grid_theta = theta_of(grid_u)
+    grid_m, grid_ndf = direction(grid_theta, phi_of(grid_v)), _bilinear(ndf, ndf_u, ndf_v, grid_u, grid_v)
+    grid_sine = np.sin(grid_theta)
     vndf = np.zeros((len(phi_i), theta_nodes, vndf_rows, vndf_columns), np.float32)
     spectra = np.zeros((len(phi_i), theta_nodes, len(grid), resolution, resolution), np.float32)
     luminance = np.zeros((len(phi_i), theta_nodes, resolution, resolution), np.float32)
@@ -459,12 +461,12 @@ def rgl_fields(
     for p, phi in enumerate(phi_i):
         for t, theta in enumerate(theta_i):
             wi = direction(np.array(theta), np.array(phi))
-            turn = phi if is_isotropic else 0.0
-            density = _visible(ndf, ndf_u, ndf_v, u, v, wi, turn)
-            warp = Warp.of(density)
+            # D <wi, m> times the format's Jacobian, positive everywhere
+            density = grid_ndf * np.maximum(grid_m @ wi, 0.0) * grid_u * grid_sine
+            warp = Warp.of(density + 1e-7 * density.max())
             vndf[p, t] = warp.density
             mu, mv = warp.sample(sx, sy)
-            values = _f_cos(bsdf, grid, wi, direction(theta_of(mu), phi_of(mv) + turn))
+            values = _f_cos(bsdf, grid, wi, direction(theta_of(mu), phi_of(mv)))
             slope = _bilinear(ndf, ndf_u, ndf_v, mu, mv)
             area = _bilinear(sigma, ndf_u, ndf_v, np.sqrt(theta * 2 / np.pi), (phi + np.pi) / (2 * np.pi))
             table = values * (4 * area / slope)[:, None]
@@ -529,15 +531,6 @@ def _bilinear(table: Array, u: Array, v: Array, at_u: Array | float, at_v: Array
     low = table[j, i] * (1 - fx) + table[j, i + 1] * fx
     high = table[j + 1, i] * (1 - fx) + table[j + 1, i + 1] * fx
     return np.asarray(low * (1 - fy) + high * fy)
-
-
-def _visible(ndf: Array, ndf_u: Array, ndf_v: Array, u: Array, v: Array, wi: Array, turn: float) -> Array:
-    """Return D <wi, m> times the format's Jacobian on the grid `[v, u]`, positive everywhere."""
-    mu, mv = np.meshgrid(u, v, indexing="xy")
-    theta = theta_of(mu)
-    m = direction(theta, phi_of(mv) + turn)
-    density = _bilinear(ndf, ndf_u, ndf_v, mu, mv) * np.maximum(m @ wi, 0.0) * mu * np.sin(theta)
-    return np.asarray(density + 1e-7 * density.max())
 
 
 def _projected_area(ndf: Array, ndf_u: Array, ndf_v: Array, theta: Array, phi: Array) -> Array:

@@ -275,7 +275,7 @@ class Warp:
         u = _solve(left, right, target - self._blended(row, v, column))
         return (column + u) / (columns - 1), (row + v) / (rows - 1)
 
-    def _blended(self, row: Array, v: Array, column: Any) -> Array:
+    def _blended(self, row: Any, v: Array, column: Any) -> Array:
         """Return the running integral to a column, between two rows."""
         blended: Array = (1 - v) * self.conditional[row, column] + v * self.conditional[row + 1, column]
         return blended
