@@ -53,7 +53,7 @@ def run_without(names: list[str], code: str, folder: Path) -> subprocess.Complet
     (folder / "target.toml").write_text(TARGET)
     return subprocess.run(
         [sys.executable, "-c", HIDE.format(names=names) + code], cwd=folder, env=os.environ, capture_output=True,
-        text=True, timeout=240,
+        text=True,
     )  # fmt: skip
 
 

@@ -54,7 +54,7 @@ TRIES = 16  # for each step
 OUTLINE_POINTS = 72
 
 FINE_DEG = np.array([*np.arange(0.0, 90.0, 5.0), 88.0])
-QUICK_S = 0.05  # materials slower than this are sampled at few angles and wavelengths
+QUICK_S = 0.05  # materials slower than this are sampled at few angles
 COARSE_DEG, COARSE_NM = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 88.0]), np.arange(400.0, 701.0, 25.0)
 SCATTER_S, UPDATE_S = 20.0, 1.5  # for all draws; between two events
 MIN_DRAWS = 4
@@ -330,14 +330,14 @@ def tolerance_options(material: Material, percent: float) -> tuple[str, ...]:
 
 
 def _sampling(material: Material, lamp: str, incidence: Incidence) -> tuple[Array, Array | None]:
-    """Return angles and wavelengths: few for slow materials."""
+    """Return angles and wavelengths: few for slow families; the computer's speed changes the angles alone."""
     if not material.model.traits.is_quick:
         return COARSE_DEG, COARSE_NM
     for _ in range(2):  # the first trial may compile
         start = time.monotonic()
         _reflected_xyz(material, FINE_DEG, None, lamp, incidence)
         duration = time.monotonic() - start
-    return (FINE_DEG, None) if duration <= QUICK_S else (COARSE_DEG, COARSE_NM)
+    return FINE_DEG if duration <= QUICK_S else COARSE_DEG, None
 
 
 def _reflected_xyz(material: Material, angles_deg: Array, grid: Array | None, lamp: str, incidence: Incidence) -> Array:
