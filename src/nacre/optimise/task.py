@@ -7,17 +7,18 @@ import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from nacre.bsdf.texture import refuse_place
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
-from nacre.core.files import named, read_text
+from nacre.core.files import named, read_text, real
 from nacre.families.contract import Diffracting, Pixels, method_overrides
 from nacre.material.examples import resolve_recipe_path
 from nacre.material.material import Material, load, material
 from nacre.matter.indices.spec import IndexSpec
 from nacre.measure.geometry import Geometry, named_geometries
 from nacre.optimise.evaluation import TargetResult, geometries_of
+from nacre.optimise.image.files import map_stem
 from nacre.optimise.measurement import check_answers
 from nacre.optimise.parameters import Parameter, read_parameters, refuse_ties, values_at
 from nacre.optimise.solutions import Solution, write_recipe
@@ -80,27 +81,42 @@ OTHER = "other"  # in bounds by material: all that are not named
 
 
 @dataclass(frozen=True)
-class DesignTask:
-    """A checked target file.
+class Task:
+    """What the target files of all searches have in common.
 
     Attributes:
         spec: content of the file.
         context: location of the file.
+    """
+
+    spec: Any
+    context: RecipeContext
+
+    @property
+    def name(self) -> str:
+        """A short name."""
+        return Path(self.context.source).stem
+
+    def within_seconds(self, seconds: float) -> Self:
+        """Return the task with another time limit."""
+        search = self.spec.search.model_copy(update={"seconds": seconds})
+        return replace(self, spec=self.spec.model_copy(update={"search": search}))
+
+
+@dataclass(frozen=True)
+class DesignTask(Task):
+    """A checked target file.
+
+    Attributes:
         material: the start recipe; without its layers if [layers] searches the stack.
         targets: the targets.
         parameters: empty if [layers] searches the stack.
     """
 
     spec: DesignSpec
-    context: RecipeContext
     material: Material
     targets: tuple[Target, ...]
     parameters: tuple[Parameter, ...]
-
-    @property
-    def name(self) -> str:
-        """A short name."""
-        return Path(self.context.source).stem
 
     @property
     def light(self) -> LightSpec:
@@ -155,10 +171,17 @@ class DesignTask:
             found[t.path] = [*found[t.path], entry] if t.path in found else [entry]
         return own | {path: entries[0] if len(entries) == 1 else entries for path, entries in found.items()}
 
-    def within_seconds(self, seconds: float) -> DesignTask:
-        """Return the task with another time limit."""
-        search = self.spec.search.model_copy(update={"seconds": seconds})
-        return replace(self, spec=self.spec.model_copy(update={"search": search}))
+    def check_overwriting(self, folder: Path, names: Sequence[str]) -> None:
+        """Refuse to overwrite the pictures of the target by its maps and other files of a folder.
+
+        Raises:
+            RecipeError: one would be overwritten.
+        """
+        maps = [f"{map_stem(p.path)}.png" for p in self.parameters]
+        written = {(folder / name).resolve() for name in (*names, *maps)}
+        for image in (entry.image for entry in self.spec.target):
+            if image is not None and real(self.context.path(image)) in written:
+                raise RecipeError(f"{folder}: contains {image}, which would be overwritten; choose another with -o")
 
     @property
     def fingerprint(self) -> str:

@@ -250,13 +250,14 @@ def _read(material: Material, path: str, value: Any, where: str) -> Tolerance:
     if not (np.isfinite(number) and number >= 0):
         raise RecipeError(f"{where} = {show_value(value)} should be a number >= 0 or a percentage")
     deviation = abs(nominal) * number / 100 if text.endswith("%") else number
-    is_signed = nominal < 0 or nominal < FAR * deviation and _allows(material, path, -SMALL * deviation)
-    if isinstance(nominal, int) and not _allows(material, path, nominal + 0.5) and _allows(material, path, nominal + 1):
+    is_signed = nominal < 0 or nominal < FAR * deviation and allows(material, path, -SMALL * deviation)
+    if isinstance(nominal, int) and not allows(material, path, nominal + 0.5) and allows(material, path, nominal + 1):
         raise RecipeError(f"{where}: a whole number has no tolerance; sweep it instead")
     return Tolerance(path, float(nominal), deviation, str(distribution), group, cause, is_signed)
 
 
-def _allows(material: Material, path: str, value: float) -> bool:
+def allows(material: Material, path: str, value: float) -> bool:
+    """Whether a recipe may have a value at a path."""
     try:
         material.vary({path: value})
     except NacreError:

@@ -34,7 +34,7 @@ from nacre.optimise.solutions import Solution
 from nacre.optimise.targets import Target
 from nacre.optimise.task import DesignTask, read_task
 from nacre.optimise.thin_film.adapter import ThinFilmSearch
-from nacre.optimise.tolerances import draw
+from nacre.optimise.tolerances import allows, draw
 from nacre.recipe.paths import find_by_path
 from nacre.recipe.toml import dump_toml, parse_toml
 from nacre.studio.edit import edited
@@ -499,8 +499,8 @@ def _bounds(material: Material, path: str, value: float) -> tuple[float, float] 
     lows = [share * value for share in LOWER_FACTORS]
     if unit and MIN_LAYER_NM < value * IN_NM[unit[1]] <= MAX_FILM_NM:
         lows.insert(0, MIN_LAYER_NM / IN_NM[unit[1]])
-    low = next((end for end in lows if _is_allowed(material, path, end)), value)
-    high = next((share * value for share in UPPER_FACTORS if _is_allowed(material, path, share * value)), value)
+    low = next((end for end in lows if allows(material, path, end)), value)
+    high = next((share * value for share in UPPER_FACTORS if allows(material, path, share * value)), value)
     low, high = sorted((low, high))
     return (rounded(low), rounded(high)) if low < high else None
 
@@ -508,14 +508,6 @@ def _bounds(material: Material, path: str, value: float) -> tuple[float, float] 
 def rounded(value: Any) -> Any:
     """Round a float to six digits, as it is written into the recipe; return other values unchanged."""
     return float(f"{value:.6g}") if isinstance(value, float) else value
-
-
-def _is_allowed(material: Material, path: str, value: float) -> bool:
-    try:
-        material.vary({path: value})
-    except NacreError:
-        return False
-    return True
 
 
 def task_of(request: Mapping[str, Any]) -> DesignTask:

@@ -233,25 +233,23 @@ class MetasurfaceModel(Metasurface, Fabricable, OwnFormats):
         return {"tmat": partial(write_particle, self)}
 
 
+PARTICLE_NUMBERS = (
+    "radius_nm",
+    "diameter_nm",
+    "height_nm",
+    "edge_radius_nm",
+    "shell.thickness_nm",
+    "gap_nm",
+    "depth_nm",
+)
+
+
 class MetasurfaceSpec(RecipeModel):
     """A disordered particle layer on a stack."""
 
     varies_by_nodes: ClassVar[tuple[str, ...]] = (
-        "particle.radius_nm",
-        "particle.diameter_nm",
-        "particle.height_nm",
-        "particle.edge_radius_nm",
-        "particle.shell.thickness_nm",
-        "particle.gap_nm",
-        "particle.depth_nm",
-        "particle.second.radius_nm",
-        "particle.second.diameter_nm",
-        "particle.second.height_nm",
-        "particle.second.edge_radius_nm",
-        "particle.second.shell.thickness_nm",
-        "particle.second.gap_nm",
-        "particle.second.depth_nm",
-        "particle.second.share",
+        *(f"particle.{key}" for key in PARTICLE_NUMBERS),
+        *(f"particle.second.{key}" for key in (*PARTICLE_NUMBERS, "share")),
         "monolayer.coverage",
         "monolayer.density_per_um2",
         "monolayer.packing",

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from nacre._version import __version__
 from nacre.core.arrays import Array
-from nacre.core.errors import RecipeError
-from nacre.core.files import atomic_path, real, write_text
+from nacre.core.files import atomic_path, write_text
 from nacre.core.html import png_uri, render_page
 from nacre.families.contract import Pixels
 from nacre.light import delta_e_2000, lab_to_xyz, xyz_to_lab
@@ -126,7 +125,7 @@ def design_picture(
     target, search = task.targets[0], task.spec.search
     total = search.seconds if "seconds" in search.model_fields_set else np.inf
     folder = checkpointer.folder
-    _check_overwriting(task, folder)
+    task.check_overwriting(folder, [REACHED, PICTURE])
 
     def report(worst: float, said: str, count: int = 0) -> None:
         if progress is not None:
@@ -194,17 +193,6 @@ def _sampler(task: DesignTask, is_final: bool = False) -> ColourSampler:
     seed = task.spec.search.seed + (SEED_OFFSET if is_final else 0)
     pair = (light.illuminants[0], light.observer)
     return ColourSampler(task.material, task.parameters, task.targets[0].geometry, pair, seed, is_final)
-
-
-def _check_overwriting(task: DesignTask, folder: Path) -> None:
-    name = task.spec.target[0].image
-    assert name is not None
-    path = real(task.context.path(name))
-    stems = [ParameterMap(p.path, np.zeros((1, 1)), 0.0, 1.0, None).stem for p in task.parameters]
-    if path in [(folder / other).resolve() for other in (*(f"{stem}.png" for stem in stems), REACHED, PICTURE)]:
-        raise RecipeError(
-            f"{folder}: contains the picture {path.name}, which would be overwritten; choose another with -o"
-        )
 
 
 def _figures(task: DesignTask, picture: PictureDesign) -> dict[str, Any]:

@@ -113,6 +113,11 @@ def _in_srgb(picture: Image, profile: bytes | None) -> Image:
         return rgb
 
 
+def map_stem(path: str) -> str:
+    """Return the file name of a map without suffix, for "layers[0].thickness_nm" "layers-0-thickness_nm"."""
+    return re.sub(r"[^A-Za-z0-9_]+", "-", path).strip("-")
+
+
 @dataclass(frozen=True, eq=False)
 class ParameterMap:
     """Parameter values over the picture.
@@ -132,8 +137,8 @@ class ParameterMap:
 
     @property
     def stem(self) -> str:
-        """File name without suffix. Example: "layers-0-thickness_nm" for "layers[0].thickness_nm"."""
-        return re.sub(r"[^A-Za-z0-9_]+", "-", self.path).strip("-")
+        """File name without suffix."""
+        return map_stem(self.path)
 
     @property
     def texture(self) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
-from nacre.core.files import atomic_path, real
+from nacre.core.files import atomic_path
 from nacre.families.contract import Diffracting, Pixels
 from nacre.formats.layouts import write_pixel_field
 from nacre.light import delta_e_2000, lab_to_xyz, smooth_weights, white_xyz, xyz_to_lab
@@ -182,7 +182,7 @@ def design_hologram(
         NacreError: the material cannot be computed, or the folder cannot be written.
     """
     folder = checkpointer.folder
-    _check_overwriting(task, folder)
+    task.check_overwriting(folder, _preview_names(len(task.targets)))
     channels = []
     for number in range(len(task.targets)):
         channels.append(make_channel(task, number))
@@ -236,14 +236,6 @@ def design_hologram(
 
 def _preview_names(count: int) -> list[str]:
     return ["reached.png"] if count == 1 else [f"reached-{k}.png" for k in range(1, count + 1)]
-
-
-def _check_overwriting(task: DesignTask, folder: Path) -> None:
-    written = [folder / name for name in _preview_names(len(task.targets))]
-    written += [folder / f"{ParameterMap(p.path, np.zeros((1, 1)), 0, 1, None).stem}.png" for p in task.parameters]
-    for entry in task.spec.target:
-        if entry.image is not None and real(task.context.path(entry.image)) in [w.resolve() for w in written]:
-            raise RecipeError(f"{folder}: contains {entry.image}, which would be overwritten; choose another with -o")
 
 
 def _check_apart(task: DesignTask, channels: Sequence[Channel]) -> None:

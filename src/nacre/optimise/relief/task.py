@@ -29,7 +29,7 @@ from nacre.optimise.relief.target import LARGEST_TILE_FEATURES, TargetSpec
 from nacre.optimise.solutions import RECIPE, Solution
 from nacre.optimise.spec import DesignSpec, LightSpec
 from nacre.optimise.targets import Target, read_targets
-from nacre.optimise.task import task_geometries
+from nacre.optimise.task import Task, task_geometries
 from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, show_value, validate
 from nacre.recipe.toml import dump_toml, parse_toml
@@ -44,29 +44,22 @@ FAMILY = "relief"
 
 
 @dataclass(frozen=True)
-class ReliefTask:
+class ReliefTask(Task):
     """Checked relief target.
 
     Attributes:
         spec: gradient search target.
-        context: target file context.
         problem: design problem.
         asked: the whole target of a file with `[[target]]`.
         targets: target colours at directions.
     """
 
     spec: TargetSpec
-    context: RecipeContext
     problem: Problem
     asked: DesignSpec | None = None
     targets: tuple[Target, ...] = ()
 
     image_kind: ClassVar[str] = ""
-
-    @property
-    def name(self) -> str:
-        """A short name."""
-        return Path(self.context.source).stem
 
     @property
     def seconds(self) -> float:
@@ -127,11 +120,6 @@ class ReliefTask:
             del data["prefactor"]  # of scalar theory
             data["model"] = {"optics": spec.search.refine}
         write_text(folder / RECIPE, dump_toml(data))
-
-    def within_seconds(self, seconds: float) -> ReliefTask:
-        """Return the task with another time limit."""
-        search = self.spec.search.model_copy(update={"seconds": seconds})
-        return replace(self, spec=self.spec.model_copy(update={"search": search}))
 
     @property
     def fingerprint(self) -> str:
