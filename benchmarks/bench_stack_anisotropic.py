@@ -15,11 +15,20 @@ from pathlib import Path
 import numpy as np
 from common import Row, Worker, interleaved, parser, report, timed
 
-from nacre.matter.stack.anisotropic import AnisotropicLayer, principal_tensor, solve_anisotropic
+from nacre.matter.indices.crystal import euler_axes
+from nacre.matter.stack.anisotropic import AnisotropicLayer, solve_anisotropic
 
 HELIX = (1.5, 1.7, 650.0, 15.0)  # n_o, n_e, pitch in nm, turns
 PEER_SLICES = 450  # 15 a half turn
 SHARES = (0.2, 0.25, 0.3, 0.4, 0.6, 1.0)  # of nacre's slices
+
+
+def principal_tensor(
+    indices: np.ndarray | list[float], euler_deg: np.ndarray | tuple[float, ...] = (0.0, 0.0, 0.0)
+) -> np.ndarray:
+    """Return R diag(n^2) R^T with the principal axes as the columns of Rz(a) Rx(b) Rz(c)."""
+    axes = euler_axes((euler_deg[0], euler_deg[1], euler_deg[2]))
+    return np.einsum("ij,...j,kj->...ik", axes, np.asarray(indices, dtype=complex) ** 2, axes)
 
 
 def case() -> dict[str, np.ndarray]:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from nacre.core.errors import NacreError
-from nacre.matter.stack.anisotropic import AnisotropicLayer, principal_tensor, solve_anisotropic
+from nacre.matter.indices.crystal import euler_axes
+from nacre.matter.stack.anisotropic import AnisotropicLayer, solve_anisotropic
 from nacre.matter.stack.solve import mueller, solve
 
 REFERENCE = Path(__file__).resolve().parents[3] / "shared" / "reference" / "anisotropic" / "anisotropic_open.npz"
@@ -28,15 +29,17 @@ def reference() -> Any:
     return np.load(REFERENCE)
 
 
-def tensor_of(indices: Any, euler_deg: Any) -> Any:
-    return principal_tensor(indices, euler_deg)
+def principal_tensor(indices: Any, euler_deg: Any = (0.0, 0.0, 0.0)) -> Any:
+    """Return R diag(n^2) R^T with the principal axes as the columns of Rz(a) Rx(b) Rz(c)."""
+    axes = euler_axes((euler_deg[0], euler_deg[1], euler_deg[2]))
+    return np.einsum("ij,...j,kj->...ik", axes, np.asarray(indices, dtype=complex) ** 2, axes)
 
 
 def test_the_stacks_of_an_independent_solver_are_reproduced(reference: Any) -> None:
     for i in range(len(reference["stack_layers"])):
         layers = [
             AnisotropicLayer(
-                tensor_of(reference["stack_layer_n"][i, j], reference["stack_layer_euler_deg"][i, j]),
+                principal_tensor(reference["stack_layer_n"][i, j], reference["stack_layer_euler_deg"][i, j]),
                 float(reference["stack_layer_thickness_nm"][i, j]),
             )
             for j in range(int(reference["stack_layers"][i]))
@@ -44,7 +47,7 @@ def test_the_stacks_of_an_independent_solver_are_reproduced(reference: Any) -> N
         found = solve_anisotropic(
             float(np.real(reference["stack_n_ambient"][i])),
             layers,
-            tensor_of(reference["stack_substrate_n"][i], reference["stack_substrate_euler_deg"][i]),
+            principal_tensor(reference["stack_substrate_n"][i], reference["stack_substrate_euler_deg"][i]),
             float(reference["stack_wavelength_nm"][i]),
             np.radians(float(reference["stack_theta_deg"][i])),
             absorption=True,

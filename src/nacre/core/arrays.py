@@ -43,6 +43,12 @@ def wavelength_grid(value: ArrayLike | None) -> Array | None:
     return grid
 
 
+def rotation_about_z(angle_rad: float) -> Array:
+    """Return the matrix `[3, 3]` that turns vectors about z."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 def direction(theta_rad: Array | float, phi_rad: Array | float = 0.0) -> Array:
     """Return unit vectors `[..., 3]` at polar angle `theta_rad` from +z and azimuth `phi_rad` from +x."""
     theta, phi = np.broadcast_arrays(np.asarray(theta_rad, dtype=float), np.asarray(phi_rad, dtype=float))

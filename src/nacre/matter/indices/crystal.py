@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.core.arrays import Array, ComplexArray
+from nacre.core.arrays import Array, ComplexArray, rotation_about_z
 from nacre.core.errors import NacreError
 from nacre.matter.indices.constant import Extrapolation, OpticalConstant
 
@@ -113,9 +113,4 @@ def euler_axes(euler_deg: tuple[float, float, float]) -> Array:
     """Return Rz(a) Rx(b) Rz(c), `[3, 3]`."""
     a, b, c = np.radians(euler_deg)
     tilt = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(b), -np.sin(b)], [0.0, np.sin(b), np.cos(b)]])
-    return np.asarray(_about_z(a) @ tilt @ _about_z(c))
-
-
-def _about_z(angle: float) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(rotation_about_z(a) @ tilt @ rotation_about_z(c))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nacre.core.arrays import Array, ComplexArray
+from nacre.core.arrays import Array, ComplexArray, rotation_about_z
 from nacre.core.errors import NacreError
 from nacre.core.machine import parallel_for
 from nacre.matter.stack.anisotropic_kernel import SEPARATION, solve_stacks
@@ -62,7 +62,7 @@ class AnisotropicLayer:
     def split(self, depth_nm: float) -> tuple[AnisotropicLayer, AnisotropicLayer]:
         """Return the parts above and below a depth."""
         upper = replace(self, thickness_nm=depth_nm)
-        turn = _about_z(upper.total_turn)
+        turn = rotation_about_z(upper.total_turn)
         tensor = np.einsum("ij,...jk,lk->...il", turn, self.tensor, turn)
         return upper, replace(self, tensor=tensor, thickness_nm=self.thickness_nm - depth_nm)
 
@@ -97,23 +97,6 @@ class AnisotropicResponse:
     def mueller_reflected(self) -> Array:
         """Mueller reflection matrices, `[angle, wavelength, 4, 4]`."""
         return mueller(self.jones_reflected)
-
-
-def principal_tensor(indices: ArrayLike, euler_deg: ArrayLike = (0.0, 0.0, 0.0)) -> ComplexArray:
-    """Return R diag(n^2) R^T with the principal axes as the columns of Rz(a) Rx(b) Rz(c).
-
-    Args:
-        indices: complex principal indices, `[..., 3]`.
-        euler_deg: a, b, c in degrees.
-    """
-    a, b, c = np.radians(np.asarray(euler_deg, dtype=float))
-    axes = _about_z(a) @ np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]]) @ _about_z(c)
-    return np.einsum("ij,...j,kj->...ik", axes, np.asarray(indices, dtype=complex) ** 2, axes)
-
-
-def _about_z(angle: float) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def solve_anisotropic(
@@ -151,7 +134,7 @@ def solve_anisotropic(
         raise NacreError("the ambient of an anisotropic stack must be clear")
     if np.any(theta < 0) or np.any(theta >= np.pi / 2):
         raise NacreError("angles of incidence must be in [0, 90) degrees")
-    turn = _about_z(-azimuth_rad)
+    turn = rotation_about_z(-azimuth_rad)
     count, angles = waves.size, len(theta)
     n0 = np.broadcast_to(np.real(ambient_index), (angles, count))
     theta = np.broadcast_to(theta if theta.ndim == 2 else theta[:, None], (angles, count))
@@ -236,7 +219,7 @@ def field_of_layers(
         depths_nm: from 0 to the thickness of all layers.
         slice_share: as for `solve_anisotropic`.
     """
-    waves, turn = np.atleast_1d(np.asarray(wavelengths_nm, float)), _about_z(-azimuth_rad)
+    waves, turn = np.atleast_1d(np.asarray(wavelengths_nm, float)), rotation_about_z(-azimuth_rad)
     n0 = np.broadcast_to(np.real(ambient_index), (1, waves.size))
     theta = np.full_like(n0, theta_rad)
     kx = np.ascontiguousarray(n0 * np.sin(theta))
