@@ -333,7 +333,9 @@ def test_sweep(both: Both) -> None:
 # folders: tests/exchange/test_lut_files.py, test_three.py
 @pytest.mark.parametrize("to", sorted(set(EXPORTS) - {"lut", "three"}))
 @pytest.mark.render
-def test_export(both: Both, to: str) -> None:
+def test_export(both: Both, to: str, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+    # a material is solved once for all formats, as within a test for both ways: a grating takes seconds
+    monkeypatch.setenv("NACRE_CACHE", str(tmp_path_factory.getbasetemp() / "solved"))
     name = f"x{EXPORTS[to]}"
     both.files(lambda path: nacre.export(both.recipe, to, path, angle_step_deg=30.0),
                ["export", str(both.recipe), "--to", to, "--angle-step-deg", "30"], name)  # fmt: skip
