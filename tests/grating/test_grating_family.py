@@ -17,6 +17,7 @@ from nacre.bsdf.lobes.orders import OrdersLobe
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 from nacre.cli import run
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
+from nacre.matter.periodic.structure import NotConvergedError
 
 LINES = {"shape": "line", "material": {"n": 1.5}, "width_nm": 800}
 DISC: dict[str, Any] = {
@@ -255,6 +256,22 @@ def test_colour_tables_refuse_orders_before_any_is_solved(tmp_path: Path, monkey
     lines = {"thickness_nm": 100, "material": "air", "shapes": [LINES | {"material": "Al", "width_nm": 60}]}
     fine = nacre.material(compact_disc(layers=[lines], lattice={"period_nm": 150}))
     assert not fine.model.scatters_orders(np.array([400.0])) and fine.model.scatters_orders(np.array([290.0]))
+
+
+def test_a_material_whose_orders_do_not_converge_is_refused_and_a_coarse_table_warned_of(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lines = {"thickness_nm": 60, "material": "air", "shapes": [LINES | {"material": "Al", "width_nm": 120}]}
+    made = nacre.material(compact_disc(layers=[lines], lattice={"period_nm": 300}))
+    lam = np.array([620.0])
+    with monkeypatch.context() as patch:
+        patch.setattr("nacre.families.grating.material.LARGEST_ERROR", 1e-9)
+        patch.setattr("nacre.matter.periodic.order_tables.responses", None)  # the table is not begun
+        with pytest.raises(NotConvergedError):
+            made.bsdf(lam)
+    monkeypatch.setattr("nacre.matter.periodic.order_tables.difference", lambda *_: 0.1)
+    found = made.bsdf(lam).provenance
+    assert found["estimated_error"] == 0.1 and len(found["warnings"]) == 1
 
 
 def test_disorder_moves_light_from_orders_to_a_diffuse_part() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from nacre.matter.drawings import CellField, Drawer, DrawingRequest
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.periodic.order_tables import OrderTables, in_common, order_tables
 from nacre.matter.periodic.orders import Orders, coarse_orders, solve_orders
+from nacre.matter.periodic.solve import LARGEST_ERROR
 from nacre.matter.periodic.structure import (
     COARSE,
     Cell,
@@ -242,16 +244,24 @@ class Grating(Diffracting, Pixels, Fabricable):
         """Solve the orders on a direction grid: the zero order is a mirror, the others form a lobe.
 
         Transmitted orders form another lobe, which passes light of both sides. Light from behind is not reflected.
+
+        Raises:
+            NotConvergedError: the orders do not converge.
         """
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         cells = [self.cell] if self.period is None else [self._cell_of(p) for p in self.period.nodes]
-        tables = in_common(
-            [order_tables(replace(self, cell=cell).stacks(lam), lam, self.tolerance) for cell in cells]
-        )  # fmt: skip
-        notes = {
-            "estimated_error": float(f"{max(t.error for t in tables):.2g}"),
+        largest = max(LARGEST_ERROR, self.tolerance or 0.0)
+        tables = in_common([
+            order_tables(replace(self, cell=cell).stacks(lam), lam, self.tolerance, largest_error=largest)
+            for cell in cells
+        ])  # fmt: skip
+        error = max(t.error for t in tables)
+        notes: dict[str, Any] = {
+            "estimated_error": float(f"{error:.2g}"),
             "interpolation_error": float(f"{max(t.between for t in tables):.2g}"),
         }
+        if error > largest:
+            notes["warnings"] = [f"the table of its orders has errors up to {error:.2g}; nacre orders solves better"]
         axes: tuple[ParameterAxis, ...] = ()
         if self.period is not None and len(cells) > 1:
             axes = (ParameterAxis("lattice.period_nm", np.array(self.period.nodes), self.period.texture),)

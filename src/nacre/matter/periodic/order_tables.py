@@ -35,6 +35,7 @@ from nacre.matter.periodic.orders import DESCRIPTION, cached_solution, case_key,
 from nacre.matter.periodic.solve import difference, method_of, size_count, solve_many
 from nacre.matter.periodic.structure import (
     Cell,
+    NotConvergedError,
     OrderSolution,
     PeriodicStack,
     Rectangle,
@@ -81,16 +82,28 @@ class OrderTables:
 
 
 def order_tables(
-    stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: float | None, table_error: float | None = None
+    stacks: list[PeriodicStack],
+    wavelengths_nm: Array,
+    tolerance: float | None,
+    table_error: float | None = None,
+    largest_error: float = np.inf,
 ) -> OrderTables:
     """Solve a direction grid, in threads; symmetric directions once.
 
     Args:
         tolerance: of the solutions with which the tables are compared.
         table_error: efficiency error at a few directions that sets the size; None: the smallest size.
+        largest_error: estimated error of the solutions with which the tables are compared, at most.
+
+    Raises:
+        NotConvergedError: one of them has a larger error; the table is not begun.
     """
     keys = [case_key(stack, wavelength) for stack, wavelength in zip(stacks, wavelengths_nm.tolist(), strict=True)]
-    key = "tables-" + hashlib.sha256(repr((keys, tolerance, table_error)).encode()).hexdigest() if all(keys) else ""
+    key = (
+        "tables-" + hashlib.sha256(repr((keys, tolerance, table_error, largest_error)).encode()).hexdigest()
+        if all(keys)
+        else ""
+    )
     stored = cached_arrays(key) if key else None
     if stored is not None:
         return OrderTables(
@@ -100,7 +113,7 @@ def order_tables(
         )  # fmt: skip
     start = time.perf_counter()
     parts = Parts(key)
-    made = _solved_tables(stacks, wavelengths_nm, tolerance, table_error, parts)
+    made = _solved_tables(stacks, wavelengths_nm, (tolerance, largest_error), table_error, parts)
     if key and time.perf_counter() - start > MIN_STORED_S:
         cache_arrays(key, {each.name: np.asarray(getattr(made, each.name)) for each in fields(made)})
         parts.drop()
@@ -108,8 +121,13 @@ def order_tables(
 
 
 def _solved_tables(
-    stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: float | None, table_error: float | None, parts: Parts
+    stacks: list[PeriodicStack],
+    wavelengths_nm: Array,
+    errors: tuple[float | None, float],
+    table_error: float | None,
+    parts: Parts,
 ) -> OrderTables:
+    tolerance, largest_error = errors
     stack = stacks[0]
     method = method_of(stack)
     is_patterned = stack.profile is not None or any(layer.shapes for layer in stack.layers)
@@ -131,8 +149,18 @@ def _solved_tables(
         return stacks[w], float(wavelengths_nm[w]), theta, azimuth + np.pi
 
     def check(case: tuple[float, float, int]) -> OrderSolution:
-        return cached_solution(*wave(*case), tolerance, is_strict=False)
+        found = cached_solution(*wave(*case), tolerance, is_strict=False)
+        if found.error > largest_error:
+            raise NotConvergedError(
+                f"orders at {wavelengths_nm[case[2]]:g} nm and {np.degrees(case[0]):.0f} degrees: error "
+                f"{found.error:.1e} with {found.unknowns} unknowns, above {largest_error:g}; allowed: a larger "
+                "model.tolerance, or a structure with fewer or simpler shapes"
+            )
+        return found
 
+    some = directions[:: max(len(directions) // CHECKS, 1)]
+    cases = [(t, a, k * len(stacks) // len(some)) for k, (t, a) in enumerate(some)]
+    checked = in_workers(check, cases, description=DESCRIPTION)
     step = 0
     if table_error is not None and directions:
         # the first wavelength needs most
@@ -159,8 +187,6 @@ def _solved_tables(
     zero = every.index((0, 0))
     lattice = stack.cell.wave_vectors(np.array([[1, 0], [0, 1]])) / (2.0 * np.pi)
     # the error of the coarse solutions, at a few directions
-    some = directions[:: max(len(directions) // CHECKS, 1)]
-    cases = [(t, a, k * len(stacks) // len(some)) for k, (t, a) in enumerate(some)]
     waves = [wave(*case) for case in cases]
     # lines are solved faster in one call
     coarse = (
@@ -168,8 +194,7 @@ def _solved_tables(
         if method == "lines"
         else in_workers(lambda each: solve_many([each], step)[0], waves, description=DESCRIPTION)
     )
-    pairs = zip(coarse, in_workers(check, cases, description=DESCRIPTION), strict=True)
-    error = max((difference(*pair) for pair in pairs), default=0.0)
+    error = max((difference(*pair) for pair in zip(coarse, checked, strict=True)), default=0.0)
     made = OrderTables(
         reflected[:, :, zero].astype(float), transmitted[:, :, zero].astype(float), np.delete(reflected, zero, axis=2),
         np.delete(transmitted, zero, axis=2), np.array([n for n in every if any(n)], dtype=np.int64).reshape(-1, 2),
