@@ -33,7 +33,7 @@ ALONE = ("pearl_equal_time", "relief_ablations", "relief_designs")  # what they 
 GOOD = ("holds", "ok", "pass", "reached", "agrees", "yes", "true", "reproduced")
 
 
-FAMILIES = ("film", "glass", "metasurface", "pearl", "relief")
+FAMILIES = ("film", "glass", "grating", "metasurface", "pearl", "relief")
 KINDS = ("hold", "hold only as printed", "false", "undecided", "miss")
 
 

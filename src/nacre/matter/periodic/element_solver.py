@@ -42,12 +42,13 @@ from nacre.matter.periodic.structure import (
 )
 from nacre.matter.periodic.types import Array
 
-# errors at a rim fall by 4 with each end of thin blocks
+# each size has smaller elements at the rims than the one before: the change shows what the singular fields leave
 ELEMENT_STEPS: tuple[Elements, ...] = (
-    (4, 3, (0.15, 0.015, 0.0015)), (5, 3, (0.15, 0.0225, 0.0034, 0.0005)), (6, 4, (0.15, 0.0225, 0.0034, 0.0005)),
+    (4, 3, (0.15, 0.015, 0.0015)), (5, 3, (0.15, 0.0225, 0.0034, 0.0005)),
+    (6, 4, (0.15, 0.0225, 0.0034, 0.0005, 0.00008)),
 )  # fmt: skip
 SEVERAL_WALLS: tuple[Elements, ...] = (
-    (4, 3, (0.15, 0.01)), (5, 3, (0.15, 0.015, 0.0015)), (6, 4, (0.15, 0.01)),
+    (4, 3, (0.15, 0.01)), (5, 3, (0.15, 0.015, 0.0015)), (6, 4, (0.15, 0.0225, 0.0034, 0.0005)),
 )  # fmt: skip
 BEYOND = 1.3  # orders with a wave number up to this times the largest that propagates are exact
 BASES = 8  # classes of symmetry and directions whose functions are stored
@@ -102,6 +103,15 @@ def _ovals_of(shape: Shape) -> tuple[Oval, ...]:
         x, y, width, height, turn = numbers
         return (Oval(x, y, 0.5 * width, 0.5 * height, turn),)
     return ()
+
+
+def _own_step(walls: tuple[Oval, ...], step: Elements) -> Elements:
+    return SEVERAL_WALLS[ELEMENT_STEPS.index(step)] if len(walls) > 1 and step in ELEMENT_STEPS else step
+
+
+def smallest_element(stack: PeriodicStack, step: Elements) -> float:
+    """Return the radial length of the smallest elements, over that between walls."""
+    return _own_step(ovals(stack), step)[2][-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,7 +281,7 @@ def _layers(stack: PeriodicStack, walls: tuple[Oval, ...], basis: _Basis, k0: fl
         if not is_patterned(layer):
             found.append(basis.modes(layer.epsilon, k0))
             continue
-        values = _values(layer, walls)
+        values = region_values(layer, walls)
         mass, height = (
             _folded(sum(v * part for v, part in zip(values, parts, strict=True)), joint)
             for parts, joint in ((basis.mesh.masses, basis.edge), (basis.mesh.heights, basis.node))
@@ -292,18 +302,17 @@ def _bases(
     """
     cell, walls = stack.cell, ovals(stack)
     assert cell.period_y is not None
-    if len(walls) > 1 and step in ELEMENT_STEPS:
-        step = SEVERAL_WALLS[ELEMENT_STEPS.index(step)]
+    step = _own_step(walls, step)
     turns = 0.5 * max(cell.period_x, cell.period_y) * stack.reach * k0
     more = max(int(np.ceil(0.5 * turns)) - 2, 0)
     elements = step[0] + more, step[1] + more, step[2]
-    check_unknowns(edge_count(cell, walls, elements), k0)
-    if numbers is None:
-        numbers, _ = propagating(stack, k0, transverse, BEYOND * stack.reach)
     # rounded, so that wavelengths with this wave vector share their functions
     wave = round(float(transverse[0] * k0), WAVE_DIGITS), round(float(transverse[1] * k0), WAVE_DIGITS)
-    every = tuple((int(m), int(n)) for m, n in numbers)
     axes = _mirror_axes(cell, walls, elements, np.array(wave))
+    check_unknowns(edge_count(cell, walls, elements) // 2 ** len(axes), k0)
+    if numbers is None:
+        numbers, _ = propagating(stack, k0, transverse, BEYOND * stack.reach)
+    every = tuple((int(m), int(n)) for m, n in numbers)
     return [
         _basis(cell, walls, elements, wave, every, tuple(zip(axes, parities, strict=True)))
         for parities in product((1, -1), repeat=len(axes))
@@ -372,7 +381,7 @@ def oval_response(
     return total
 
 
-def _values(layer: PatternLayer, walls: tuple[Oval, ...]) -> list[complex]:
+def region_values(layer: PatternLayer, walls: tuple[Oval, ...]) -> list[complex]:
     """Return each region's permittivity, from the innermost."""
     radii = [float(wall.radius(np.zeros(1))[0]) for wall in walls]
     found = []
