@@ -287,14 +287,14 @@ def test_killed_copies_of_examples_go_on(warm: Forker, inputs: Path, tmp_path: P
     shutil.rmtree(reference / "out")
     seconds, killed = warm.run(arguments, reference), 0
     for _ in range(4 * MOST_ATTEMPTS):
-        if killed == 4:
+        if killed == 6:
             break
         killed += warm.kill(arguments, folder, chance, seconds)
         for path, content in contents(folder).items():
             assert content == (reference / path).read_bytes()
         if names(folder) >= names(reference):  # all were there before the kill
             shutil.rmtree(folder / "out")
-    assert killed == 4
+    assert killed == 6
     warm.run(arguments, folder)
     assert names(folder) == names(reference)
 
@@ -438,7 +438,7 @@ def test_killed_designs_of_many_colours_go_on(by: signal.Signals, warm: Forker, 
     seconds = warm.run(arguments, reference)
     killed, finished = 0, dict[str, Any]()
     for _ in range(MOST_ATTEMPTS):
-        if killed == 4:
+        if killed == 6:
             break
         is_killed = warm.kill([*arguments, "--resume"], folder, chance, seconds, by)
         killed += is_killed
@@ -450,7 +450,7 @@ def test_killed_designs_of_many_colours_go_on(by: signal.Signals, warm: Forker, 
         if not is_killed:  # quicker than when it was timed: anew, and sooner
             shutil.rmtree(folder / "out")
             seconds, finished = 0.7 * seconds, {}
-    assert killed == 4
+    assert killed == 6
     warm.run([*arguments, "--resume"], folder)
     done = json.loads((folder / "out" / "many.json").read_text())
     assert done["status"] == "done" and done["done"] == len(colours)
