@@ -143,3 +143,57 @@ def _flux(matrix: Any, above: Any, count: int) -> Any:
         forward, backward = fields.amplitude_poynting_flux(incident, matrix.s21 @ incident, above)
         found.append(-backward[:, 0] / forward[:, 0].sum())
     return jnp.stack(found)
+
+
+def crossed_orders(
+    lattice: tuple[tuple[float, float], tuple[float, float]], permittivity: Any, thickness: float, below: complex,
+    light: tuple[float, float, float], terms: int,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the orders of one patterned layer of two periods on a half space, in air.
+
+    Args:
+        lattice: vectors.
+        permittivity: `[u, v]` on an even grid along the vectors.
+        below: index of the half space.
+        light: wavelength, incidence angle and azimuth of the transverse part of the wave vector, in degrees.
+        terms: about how many Fourier orders.
+
+    Returns:
+        "numbers" `[order, 2]`, "reflected" and "transmitted" `[order, in]` for s and p light; zero for orders that do
+        not propagate.
+    """
+    wavelength, theta, phi = light[0], np.radians(light[1]), np.radians(light[2])
+    vectors = basis.LatticeVectors(u=jnp.asarray(lattice[0]), v=jnp.asarray(lattice[1]))
+    expansion = basis.generate_expansion(vectors, terms)
+    c, s = np.cos(phi), np.sin(phi)
+    tangential = np.array([[-s, np.cos(theta) * c], [c, np.cos(theta) * s]])  # E_x, E_y of s and p light
+    across = 2 * np.pi / wavelength * np.sin(theta) * np.array([c, s])
+    sides = _crossed(
+        expansion, vectors.u, vectors.v, jnp.asarray(permittivity, dtype=complex), thickness, below**2,
+        jnp.asarray(wavelength), jnp.asarray(across), tangential,
+    )  # fmt: skip
+    reflected, transmitted = map(np.asarray, sides)
+    return {"numbers": np.asarray(expansion.basis_coefficients), "reflected": reflected, "transmitted": transmitted}
+
+
+def _crossed(
+    expansion: Any, u: Any, v: Any, permittivity: Any, thickness: Any, below_epsilon: Any, wavelength: Any, wave: Any,
+    tangential: Any,
+) -> Any:  # fmt: skip
+    """Power of each reflected and each transmitted order, `[order, incident state]`, of light of power 1 in order 0."""
+    solve = functools.partial(
+        fmm.eigensolve_isotropic_media, wavelength, wave, basis.LatticeVectors(u=u, v=v), expansion=expansion,
+        formulation=fmm.Formulation.JONES_DIRECT_FOURIER,
+    )  # fmt: skip
+    media = (jnp.ones((1, 1), dtype=complex), permittivity, jnp.full((1, 1), below_epsilon, dtype=complex))
+    layers = [solve(permittivity=each) for each in media]
+    matrix = scattering.stack_s_matrix(layers, [jnp.zeros(()), jnp.asarray(thickness), jnp.zeros(())])
+    count = expansion.num_terms
+    unit = jnp.zeros((2 * count, 2), dtype=complex).at[0, 0].set(1.0).at[count, 1].set(1.0)
+    (e_x, e_y, _), _ = fields.fields_from_wave_amplitudes(unit, jnp.zeros_like(unit), layers[0])
+    incident = unit @ jnp.linalg.solve(jnp.array([e_x[0], e_y[0]]), tangential.astype(complex))
+    up, down = matrix.s21 @ incident, matrix.s11 @ incident
+    flux_in, flux_up = fields.amplitude_poynting_flux(incident, up, layers[0])
+    flux_down, _ = fields.amplitude_poynting_flux(down, jnp.zeros_like(down), layers[-1])
+    power = flux_in.sum(axis=0)
+    return tuple((flux[:count] + flux[count:]) / power for flux in (-flux_up, flux_down))
