@@ -191,6 +191,8 @@ def chi_square(
         SphericalDomain(), sample, density, sample_dim=3, sample_count=samples, res=resolution, ires=steps, seed=seed
     )
     test.run(significance_level=1e-12, quiet=True)  # the caller evaluates the p-value
+    if test.pdf_sum[0] == 0.0 and test.histogram_sum[0] == 0.0:  # which Mitsuba accepts
+        return ChiSquare(0.0, True, "neither draws nor density: the lobe sends no light from here")
     return ChiSquare(float(test.p_value), bool(test.fail), test.messages)
 
 
@@ -221,6 +223,7 @@ def weight_mismatch(draws: Draws) -> float:
     The far tails of narrow lobes round differently along the two ways, hence the quantile.
     """
     broad = (~draws.is_delta) & (draws.pdf > 0)
+    assert broad.any(), "all draws are deltas or failed: there are no weights to compare"
     product = draws.weight[broad] * draws.pdf[broad, None]
     scale = np.maximum(np.abs(draws.value[broad]), 1e-6 * np.abs(draws.value[broad]).max(initial=1e-30))
     return float(np.quantile(np.abs(product - draws.value[broad]) / scale, 0.999, axis=0).max())
