@@ -205,7 +205,9 @@ def _finest(
                 step = smallest_element(stack, size) / smallest_element(stack, last) if method == "ovals" else GRADING
                 error = _metal_error(method, step ** (2.0 * exponent), amplitude_change(previous, found))
             candidate = replace(candidate, error=max(error, LEAST_ERROR[method]))
-            if best is None or candidate.error < best.error:
+            # a finer size that differs from the best by more than its error refutes that error
+            is_refuted = method == "ovals" and best is not None and difference(best, found) > best.error
+            if best is None or is_refuted or candidate.error < best.error:
                 best = candidate
             if best.error <= bound:
                 break
