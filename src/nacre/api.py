@@ -43,6 +43,7 @@ from nacre.material.material import Material, MaterialLike, as_material, load, l
 from nacre.material.spatial_variation import number_maps
 from nacre.matter.drawings import DrawingRequest
 from nacre.matter.periodic.orders import Orders
+from nacre.matter.periodic.structure import NotConvergedError
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
 from nacre.measure.texture import Instrument, Texture, measure_texture
 from nacre.optimise.formulation import formulate
@@ -173,7 +174,10 @@ def orders(
     azimuth = floats(azimuth_deg, "azimuth_deg")
     if azimuth.ndim != 0 or not np.isfinite(azimuth):
         raise NacreError("azimuth_deg must be one finite number")
-    return model.diffraction_orders(theta, float(np.radians(azimuth)), grid)
+    try:
+        return model.diffraction_orders(theta, float(np.radians(azimuth)), grid)
+    except NotConvergedError as error:
+        raise NotConvergedError(f"{material.context.source}: {error}") from None
 
 
 @functools.wraps(measure_texture)

@@ -287,7 +287,12 @@ class ShapeSpec(RecipeModel):
         found = top[0]
         polygons = found.get_polygons(layer=self.layer, datatype=0) if isinstance(found, gdstk.Cell) else []
         if not polygons:
-            raise context.fail(f"{key}.layer", self.layer, f"holds no polygons in cell {top[0].name}")
+            every = found.get_polygons() if isinstance(found, gdstk.Cell) else []
+            layers = ", ".join(str(n) for n in sorted({p.layer for p in every if p.datatype == 0})) or "none"
+            raise context.fail(
+                f"{key}.layer", self.layer,
+                f"holds no polygons of datatype 0 in cell {top[0].name} of {self.gds}; allowed: {layers}",
+            )  # fmt: skip
         merged = gdstk.boolean(polygons, [], "or", precision=1e-3 * library.precision / library.unit)
         drawn = [np.asarray(p.points) * (library.unit / 1e-9) for p in merged]
         size = float(np.ptp(np.concatenate(drawn), axis=0).max()) if drawn else 0.0
