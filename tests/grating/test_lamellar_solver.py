@@ -164,3 +164,18 @@ def test_a_table_states_the_error_near_plasmons(monkeypatch: pytest.MonkeyPatch)
     solved = solve_many([(stack, wavelength, float(t), float(a) + np.pi) for t, a in zip(theta, azimuth, strict=True)])
     exact = [float(s.reflected.efficiency[np.all(s.reflected.numbers == 0, axis=1)].mean()) for s in solved]
     assert table.between > np.quantile(np.abs(seen - exact), 0.9)
+
+
+def test_a_table_states_the_error_of_transmitted_orders(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The largest difference found between nodes covers transmission, whose errors are larger for lines of glass."""
+    monkeypatch.setenv("NACRE_CACHE", "off")
+    wavelength = 600.0
+    stack = lines((400.0, 2.25, 400.0), period=800.0, substrate=1.5)
+    table = order_tables([stack], np.array([wavelength]), None)
+    generator = np.random.default_rng(6)
+    theta, azimuth = np.arccos(generator.uniform(0.3, 1.0, 40)), 2.0 * np.pi * generator.random(40)
+    thetas, azimuths = (size - 1 for size in table.passed.shape[:2])
+    seen = interpolate(table.passed, (theta / (0.5 * np.pi) * thetas, azimuth / (2.0 * np.pi) * azimuths))[:, 0]
+    solved = solve_many([(stack, wavelength, float(t), float(a) + np.pi) for t, a in zip(theta, azimuth, strict=True)])
+    exact = [float(s.transmitted.efficiency[np.all(s.transmitted.numbers == 0, axis=1)].mean()) for s in solved]
+    assert table.between > np.quantile(np.abs(seen - exact), 0.9)

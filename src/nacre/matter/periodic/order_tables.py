@@ -344,7 +344,7 @@ def _whole(
 
 
 def _between(tables: OrderTables, stacks: list[PeriodicStack], wavelengths_nm: Array, step: int) -> float:
-    """Return the largest error of a reflected efficiency at a few directions in the middle of four nodes."""
+    """Return the largest error of an efficiency, in reflection and transmission, at a few midpoints of four nodes."""
     thetas, azimuths = tables.mirror.shape[0] - 1, tables.mirror.shape[1] - 1
     generator = np.random.default_rng(BETWEEN_SEED)
     count = BETWEEN_LINES if method_of(stacks[0]) == "lines" and step == 0 else BETWEEN
@@ -357,18 +357,23 @@ def _between(tables: OrderTables, stacks: list[PeriodicStack], wavelengths_nm: A
         theta, phi = 0.5 * np.pi * (t[k] + 0.5) / thetas, 2.0 * np.pi * (a[k] + 0.5) / azimuths + np.pi
         return solve_many([(stacks[w], float(wavelengths_nm[w]), float(theta), float(phi))], step)[0]
 
-    mirror, others = (
-        np.mean([part[t + i, a + j] for i in (0, 1) for j in (0, 1)], axis=0)
-        for part in (tables.mirror, tables.reflected)
-    )
     worst = 0.0
-    for (k, w), solution in zip(cases, in_workers(solved, cases), strict=True):
-        exact = np.zeros(len(tables.orders))
-        for number, value in zip(solution.reflected.numbers, solution.reflected.efficiency.mean(axis=1), strict=True):
-            if not number.any():
-                worst = max(worst, abs(float(value - mirror[k, w])))
-            exact[np.all(tables.orders == number, axis=1)] = value
-        worst = max(worst, float(np.abs(exact - others[k, :, w]).max(initial=0.0)))
+    solutions = in_workers(solved, cases)
+    for side, zero, other in (
+        ("reflected", tables.mirror, tables.reflected),
+        ("transmitted", tables.passed, tables.transmitted),
+    ):
+        mirror, others = (
+            np.mean([part[t + i, a + j] for i in (0, 1) for j in (0, 1)], axis=0) for part in (zero, other)
+        )
+        for (k, w), solution in zip(cases, solutions, strict=True):
+            found = getattr(solution, side)
+            exact = np.zeros(len(tables.orders))
+            for number, value in zip(found.numbers, found.efficiency.mean(axis=1), strict=True):
+                if not number.any():
+                    worst = max(worst, abs(float(value - mirror[k, w])))
+                exact[np.all(tables.orders == number, axis=1)] = value
+            worst = max(worst, float(np.abs(exact - others[k, :, w]).max(initial=0.0)))
     return worst
 
 
