@@ -20,7 +20,7 @@ from nacre.families.relief.diffraction_orders import Coherence
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Tile
 from nacre.formats.layouts import PUBLISHED_CALIBRATION, read_calibration
-from nacre.formats.number_maps import write_png16, write_tiff16
+from nacre.formats.number_maps import check_size, write_png16, write_tiff16
 from nacre.matter.indices.library import index
 
 
@@ -326,3 +326,11 @@ def test_a_tiff_of_several_tiles_holds_the_pattern(tmp_path: Path, monkeypatch: 
     grey = np.random.default_rng(3).integers(0, 1 << 16, (37, 50)).astype(np.uint16)
     write_tiff16(tmp_path / "a.tif", grey, {}, 0.5)
     np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.tif")), grey)
+
+
+def test_a_side_of_an_image_has_one_to_a_million_pixels() -> None:
+    check_size(1_000_000, 1)
+    check_size(1, 1_000_000)
+    for rows, columns in ((1_000_001, 1), (1, 1_000_001), (0, 1), (1, 0)):
+        with pytest.raises(UnsupportedError):
+            check_size(rows, columns)

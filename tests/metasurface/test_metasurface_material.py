@@ -486,3 +486,10 @@ def test_spheres_on_opaque_layers_over_glass_answer_with_numbers(micrometres):
 def test_a_particle_smaller_than_an_atom_is_refused(radius_nm: float) -> None:
     with pytest.raises(RecipeError, match="radius_nm"):
         material(recipe(radius_nm=radius_nm))
+
+
+def test_a_layer_is_at_most_ten_micrometres_thick():
+    layer = {"material": "SiO2", "thickness_nm": 10_000.0}
+    assert material(recipe(layers=[layer])).model.layers[0][1] == 10_000.0
+    with pytest.raises(RecipeError):
+        material(recipe(layers=[{**layer, "thickness_nm": 10_000.1}]))

@@ -11,11 +11,12 @@ import pytest
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.bsdf.glints import COVERAGE, WIDTH, factors, glint_species, mean_ratio
+from nacre.bsdf.glints import COVERAGE, SEED, WIDTH, factors, glint_species, mean_ratio
 from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.lobes.platelet_layer import PlateletLayer
 from nacre.core.errors import RecipeError
 from nacre.families.pearl import tables as pearl_tables
+from nacre.families.pearl.flake_texture import Glints, glint_arrays
 from nacre.material.material import material
 
 LAM = np.array([450.0, 550.0, 650.0, 700.0])
@@ -161,6 +162,16 @@ def test_seed_and_place_alone_decide(fast: PlateletLayer) -> None:
     assert not np.array_equal(fast.evaluate(*pair(len(uv)), uv), again.evaluate(*pair(len(uv)), uv))
 
 
+def test_each_seed_and_each_pigment_has_flakes_of_its_own() -> None:
+    strata = [{**PAINT["strata"][0], "platelets": [FLAKE, {**FLAKE, "diameter_um": 60}]}]
+    stratum = material({**PAINT, "strata": strata}).model.strata[0]
+    seeds = [
+        glint_arrays(Glints((60.0, 60.0), seed=seed), stratum, 1.5, np.ones(2), np.ones(2))[0][:, SEED]
+        for seed in (0, 1, 25, 1000, 2**24 - 1)
+    ]
+    assert np.unique(seeds).size == 10
+
+
 def test_more_of_a_thin_layer_is_seen_and_roughness_widens_a_flake() -> None:
     def numbers(**stratum: object) -> np.ndarray:
         made = material({**PAINT, "strata": [{**PAINT["strata"][0], **stratum}]}).bsdf(LAM).lobes[0]
@@ -207,6 +218,14 @@ def test_a_lobe_of_glints_whose_tables_do_not_fit_is_refused(fast: PlateletLayer
     dataclasses.replace(fast, base=few).check()  # two nodes are a table
     with pytest.raises(ValueError, match="base has the shape"):
         dataclasses.replace(fast, base=few[:1]).check()
+
+
+def test_a_lobe_has_a_roughness_from_zero_to_one(fast: PlateletLayer) -> None:
+    for alpha in (0.0, 1.0):
+        dataclasses.replace(fast, alpha=alpha).check()
+    for alpha in (-1e-9, 1.0 + 1e-9):
+        with pytest.raises(ValueError, match="out of range"):
+            dataclasses.replace(fast, alpha=alpha).check()
 
 
 def test_the_lobe_of_one_flake_is_stated_relative_to_the_deviation_of_all_flakes(fast: PlateletLayer) -> None:

@@ -33,7 +33,7 @@ from nacre.measure.sparkle import (
     two_point_moments,
     uniform_part,
 )
-from nacre.measure.texture import Instrument, calibrate, measure_texture
+from nacre.measure.texture import Instrument, TextureQuantity, calibrate, measure_texture
 
 PIXELS = Pixels(pixel_um=40.0, field_mm=20.0, threshold=1.0, dark=0.01)
 CONE_RAD = math.radians(1.0)
@@ -346,3 +346,10 @@ def test_light_to_flakes_is_lost_in_the_coat_above_as_beer_and_lambert_say() -> 
     ratio = dark[0].flakes[0].brightness[0].mean() / clear[0].flakes[0].brightness[0].mean()
     depth_nm = 4.0 * math.pi * k * 2.0 * thickness_um * 1e3  # down and up
     assert math.exp(-depth_nm / 480.0) < ratio < math.exp(-depth_nm / 640.0)  # where the eye sees most light
+
+
+def test_graininess_is_seen_in_diffuse_light_without_an_angle_of_the_lamp() -> None:
+    assert TextureQuantity.named("graininess", "texture").theta_deg == 0.0
+    assert TextureQuantity.named("area_75", "texture").theta_deg == 75.0
+    with pytest.raises(RecipeError):
+        TextureQuantity.named("graininess_15", "texture")

@@ -314,3 +314,12 @@ def test_short_waves_give_the_microfacet_brdf_of_the_slopes() -> None:
             rays[i, j] = both.mean() / (2 * np.pi * coherence.blur**2)
     # f du dv is what arrives; both are densities over (u, v)
     assert np.linalg.norm(wave - rays) <= 0.02 * np.linalg.norm(rays)
+
+
+@pytest.mark.parametrize(("dtype", "left_out"), [(np.float64, 0.5 * np.finfo(np.float64).eps), (np.float32, 3e-7)])
+def test_lines_that_are_left_out_weigh_less_than_rounding(dtype: type, left_out: float) -> None:
+    """The smoothing is exp(-d^2 / 2 blur^2) at the distance d of a line from the farthest direction."""
+    coherence, period, nm = Coherence(5.0), 1e6, 500.0
+    geometry = CutGeometry(np.array([0.0, 0.4]), np.array([-0.3, 0.0]), np.array([[0.0, 0.0, 1.0]]), np.array([nm]))
+    first = geometry.highest_line(period, coherence, dtype) + 1
+    assert np.exp(-0.5 * ((first * nm / period - 0.4) / coherence.blur) ** 2) <= left_out

@@ -1,143 +1,28 @@
-"""Choose and order the tests for a mutant: those that reach its line, the cheapest for what they know of it first.
+"""Order the tests for a mutant by what they name, and find the kernels that its line is compiled into.
 
-A tracer records which test reaches which line. It sees nothing of what numba compiled, and what runs once while
-importing it ascribes to nobody: such a line is reached by the tests that reach a function which names its function,
-class or constant, and so on up.
+A test ranks high if its own text, that of its helpers, its parameters or its file name the function or constant of the
+mutant, or one that uses it at most `LEVELS` steps up, and if it is cheap. No traced run of all tests is needed, which
+would see nothing of compiled kernels.
 """
 
 from __future__ import annotations
 
 import ast
-import json
-import sys
-from collections.abc import Iterable
+import re
+from collections import defaultdict
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-UNKNOWN_S = 3.0  # what a test is taken to cost that the baseline did not time
-READERS = ("tests/test_architecture.py::test_what_physics",)  # tests that read the source
-START_S = 0.05  # each test costs at least this
-
-
-class Baseline:
-    """What passed before any mutant: each test's cost, and the tests that reach each line."""
-
-    def __init__(self, root: Path, kept: dict[str, Any]) -> None:
-        self.root = root
-        self.cost: dict[str, float] = kept["cost"]
-        self.failed = set(kept["failed"])
-        self.new = set(kept["new"])  # since the first draw: what a survivor has not met
-        names = kept["tests"]
-        self.lines: dict[str, dict[int, set[str]]] = {
-            file: {int(line): {names[i] for i in tests} for line, tests in lines.items()}
-            for file, lines in kept["lines"].items()
-        }
-        self.of_file = {file: set().union(*lines.values()) for file, lines in self.lines.items() if lines}
-
-    @classmethod
-    def read(cls, root: Path, path: Path) -> Baseline:
-        """Read what `python -m tools.mutants baseline` kept."""
-        return cls(root, json.loads(path.read_text(encoding="utf-8")))
-
-    def cost_of(self, test: str) -> float:
-        """Return the processor seconds of a test."""
-        return self.cost.get(test, UNKNOWN_S)
-
-    @cached_property
-    def _trees(self) -> dict[str, ast.Module]:
-        paths = sorted((self.root / "src" / "nacre").rglob("*.py"))
-        return {str(p.relative_to(self.root)): ast.parse(p.read_text(encoding="utf-8")) for p in paths}
-
-    @cached_property
-    def _namers(self) -> dict[str, list[tuple[str, ast.stmt]]]:
-        """For each name, the statements (functions, methods, constants) of the package that use it."""
-        found: dict[str, list[tuple[str, ast.stmt]]] = {}
-        for file, tree in self._trees.items():
-            for body in units(tree):
-                for name in {used_name(n) for n in ast.walk(body)} - {""}:
-                    found.setdefault(name, []).append((file, body))
-        return found
-
-    @cached_property
-    def _importers(self) -> dict[str, set[str]]:
-        """For each file, those that import it."""
-        graph = import_graph(self.root)
-        name = {module: str(path.relative_to(self.root)) for module, path in graph.files.items()}
-        found: dict[str, set[str]] = {file: set() for file in name.values()}
-        for module, others in graph.arrows.items():
-            for other in others:
-                found[name[other]].add(name[module])
-        return found
-
-    def reaching(self, file: str, line: int) -> set[str]:
-        """Return the tests that reach a line, itself or through what names it."""
-        # a line that runs while importing is ascribed to the test that happened to import it
-        direct = self.lines.get(file, {}).get(line, set()) if self._is_inside(file, line) else set()
-        return direct or self._climb(file, line, set())
-
-    def _is_inside(self, file: str, line: int) -> bool:
-        """Whether a line is part of a function's body."""
-        functions = (u for u in units(self._trees[file]) if isinstance(u, ast.FunctionDef))
-        return any(u.lineno < line <= (u.end_lineno or 0) for u in functions)
-
-    def _climb(self, file: str, line: int, seen: set[tuple[str, int]]) -> set[str]:
-        unit = next((u for u in units(self._trees[file]) if first_line(u) <= line <= (u.end_lineno or 0)), None)
-        if unit is None or (file, unit.lineno) in seen:
-            return set()
-        seen.add((file, unit.lineno))
-        found: set[str] = set()
-        inside = [t for n, t in self.lines.get(file, {}).items() if unit.lineno < n <= (unit.end_lineno or 0)]
-        found = found.union(*inside) if inside else found
-        if found:
-            return found
-        for name in names_of(unit, self._trees[file]):
-            for other, user in self._namers.get(name, []):
-                if (other, user.lineno) not in seen and (other == file or other in self._importers[file]):
-                    found |= self._climb(other, user.lineno, seen)
-        return found
-
-    def plan(self, file: str, line: int) -> list[str]:
-        """Return the tests to run for a mutant on a line, in order."""
-        first = self.reaching(file, line)
-        homes = {test.partition("::")[0] for test in first}
-        # what refuses bad input runs none of the lines that say what is bad
-        near = {test for test in self.cost if test.partition("::")[0] in homes} - first
-        rest = self.of_file.get(file, set()) - first - near
-        readers = [test for test in self.cost if test.startswith(READERS)]
-        groups = [self._in_order(file, first), self._in_order(file, near), self._in_order(file, rest)]
-        groups.insert(1 if self._is_inside(file, line) else 0, readers)
-        plan = dict.fromkeys(test for group in groups for test in group if test not in self.failed)
-        return sorted(plan, key=lambda test: test not in self.new)  # what a survivor has not met comes first
-
-    @cached_property
-    def _spread(self) -> dict[str, int]:
-        """For each test, how many files it reaches."""
-        spread: dict[str, int] = {}
-        for tests in self.of_file.values():
-            for test in tests:
-                spread[test] = spread.get(test, 0) + 1
-        return spread
-
-    def _in_order(self, file: str, tests: Iterable[str]) -> list[str]:
-        # a test that reaches few files is likely to be about this one
-        return sorted(tests, key=lambda t: ((self.cost_of(t) + START_S) * self._spread.get(t, 1), t))
-
-
-def import_graph(root: Path) -> Any:
-    """Return the graph of the package's imports, as the tests of the architecture read it."""
-    sys.path.insert(0, str(root / "tests" / "helpers"))
-    from import_graph import ImportGraph
-
-    sys.path.pop(0)
-    return ImportGraph(root / "src" / "nacre")
-
-
-def used_name(node: ast.AST) -> str:
-    """Return the name that a node brings in; empty for none."""
-    if isinstance(node, ast.alias):
-        return node.name
-    return str(getattr(node, "id", getattr(node, "attr", "")))
+LEVELS = 4  # from the mutant's function up to those that users call
+MOST_TESTS = 400
+UNKNOWN_S = 0.6  # the cost of a test that no mutant has met so far
+HOMES = {
+    "light": ("light",), "matter/stack": ("stack",), "matter/indices": ("indices",), "matter/mie": ("metasurface",),
+    "matter/periodic": ("grating", "film"), "bsdf": ("bsdf",), "measure": ("pearl", "light"),
+    "formats": ("exchange", "fabricate", "files"),
+}  # fmt: skip
+WORD = re.compile(r"\w+")
 
 
 def first_line(unit: ast.stmt) -> int:
@@ -145,32 +30,153 @@ def first_line(unit: ast.stmt) -> int:
     return min([unit.lineno, *(d.lineno for d in getattr(unit, "decorator_list", []))])
 
 
-def units(tree: ast.Module) -> list[ast.stmt]:
-    """Return the functions, methods, fields and constants of a file."""
-    found: list[ast.stmt] = []
-    for node in tree.body:
-        if isinstance(node, ast.ClassDef):
-            found += node.body
-        elif not isinstance(node, ast.Import | ast.ImportFrom):
-            found.append(node)
-    # a decorated class's decorator belongs to the class
-    found += [node for node in tree.body if isinstance(node, ast.ClassDef)]
-    return found
+def is_kernel(unit: ast.stmt) -> bool:
+    """Whether numba compiles a function."""
+    return any(re.search(r"compiled|jit", ast.unparse(d)) for d in getattr(unit, "decorator_list", []))
 
 
-def names_of(unit: ast.stmt, tree: ast.Module) -> list[str]:
+class Package:
+    """The functions, methods, fields and constants of `src/nacre`, and the names that each uses."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        paths = sorted((root / "src" / "nacre").rglob("*.py"))
+        self.trees = {str(p.relative_to(root)): ast.parse(p.read_text(encoding="utf-8")) for p in paths}
+
+    def unit(self, file: str, line: int) -> tuple[ast.stmt, ast.ClassDef | None] | None:
+        """Return the outermost statement that holds a line, of a class its member, and the class."""
+        for node in self.trees[file].body:
+            if first_line(node) <= line <= (node.end_lineno or 0):
+                members = node.body if isinstance(node, ast.ClassDef) else []
+                for member in members:
+                    if first_line(member) <= line <= (member.end_lineno or 0):
+                        return member, node
+                return node, None
+        return None
+
+    @cached_property
+    def _users(self) -> dict[str, list[tuple[str, ast.stmt, ast.ClassDef | None]]]:
+        found: dict[str, list[tuple[str, ast.stmt, ast.ClassDef | None]]] = defaultdict(list)
+        for file, tree in self.trees.items():
+            for node in tree.body:
+                if isinstance(node, ast.Import | ast.ImportFrom):
+                    continue
+                for unit in node.body if isinstance(node, ast.ClassDef) else [node]:
+                    used = {getattr(n, "id", getattr(n, "attr", "")) for n in ast.walk(unit)}
+                    for name in used - {""}:
+                        found[name].append((file, unit, node if unit is not node else None))
+        return found
+
+    def levels(self, file: str, line: int) -> dict[str, int]:
+        """Return the names by which a test may reach a line, with the steps up to each."""
+        found: dict[str, int] = {}
+        start = self.unit(file, line)
+        todo = [(file, *start, 1)] if start else []
+        done: set[tuple[str, int]] = set()
+        while todo:
+            at, unit, parent, level = todo.pop(0)
+            if (at, unit.lineno) in done:
+                continue
+            done.add((at, unit.lineno))
+            for name in _names(unit, parent):
+                found.setdefault(name, level)
+                if level < LEVELS and len(name) > 3:
+                    todo += [
+                        (*user, level + 1) for user in self._users[name] if at == user[0] or self._sees(user[0], at)
+                    ]
+        return found
+
+    def _sees(self, file: str, other: str) -> bool:
+        return Path(other).stem in self._imported[file] or Path(other).parent.name in self._imported[file]
+
+    @cached_property
+    def _imported(self) -> dict[str, set[str]]:
+        """For each file, the words of its import statements."""
+        imports = ast.Import | ast.ImportFrom
+        return {
+            file: {w for n in ast.walk(tree) if isinstance(n, imports) for w in WORD.findall(ast.unparse(n))}
+            for file, tree in self.trees.items()
+        }
+
+    def kernels_of(self, file: str, line: int) -> set[tuple[str, str]]:
+        """Return (file, name) of all kernels that contain what stands on a line: numba's cache does not notice that."""
+        start = self.unit(file, line)
+        if start is None or start[1] is not None:
+            return set()
+        todo, kernels = list(_names(*start)), set()
+        if is_kernel(start[0]):
+            kernels = {(file, name) for name in todo}
+        done: set[str] = set()
+        while todo:
+            name = todo.pop()
+            done.add(name)
+            for at, unit, parent in self._users[name]:
+                if parent is None and (is_kernel(unit) or isinstance(unit, ast.Assign | ast.AnnAssign)):
+                    new = _names(unit, None)
+                    kernels |= {(at, n) for n in new if is_kernel(unit)}
+                    todo += [n for n in new if n not in done]
+        return kernels
+
+
+def _names(unit: ast.stmt, parent: ast.ClassDef | None) -> list[str]:
     """Return the names under which others use a statement: its own; of a field or a special method, the class too."""
-    names: list[str] = []
     if isinstance(unit, ast.FunctionDef | ast.ClassDef):
-        names.append(unit.name)
-    elif isinstance(unit, ast.Assign | ast.AnnAssign):
-        targets = unit.targets if isinstance(unit, ast.Assign) else [unit.target]
-        names += [n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name)]
-    elif isinstance(unit, ast.Expr):
-        # such as `f.defvjp(forward, backward)`: it serves the functions that it names
-        names += [n.id for n in ast.walk(unit) if isinstance(n, ast.Name)]
-    for node in tree.body:
-        if isinstance(node, ast.ClassDef) and unit in node.body:
-            if not isinstance(unit, ast.FunctionDef) or unit.name.startswith("__"):
-                names.append(node.name)
-    return names
+        own = [unit.name]
+    else:  # a constant or a field; or a call such as `f.defvjp(forward, backward)`, which serves what it names
+        targets = getattr(unit, "targets", [getattr(unit, "target", unit)])
+        own = [n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name)]
+    outer = parent and (not isinstance(unit, ast.FunctionDef) or unit.name.startswith("__"))
+    return [*own, parent.name] if parent and outer else own
+
+
+class Tests:
+    """The collected tests, and the words that each names."""
+
+    def __init__(self, root: Path, items: list[Any]) -> None:
+        self.items = items
+        self.file_words: dict[str, set[str]] = {}
+        self.words: dict[str, set[str]] = {}
+        own: dict[str, dict[str, set[str]]] = {}
+        for item in items:
+            file = item.nodeid.partition("::")[0]
+            if file not in own:
+                text = (root / file).read_text(encoding="utf-8")
+                self.file_words[file] = set(WORD.findall(text))
+                lines = text.splitlines()
+                parts = [(n, "\n".join(lines[first_line(n) - 1 : n.end_lineno])) for n in ast.parse(text).body]
+                own[file] = {name: set(WORD.findall(part)) for n, part in parts for name in _names(n, None)}
+            words = {*WORD.findall(item.nodeid.partition("[")[2]), *getattr(item, "fixturenames", ())}
+            todo = [item.function.__name__, *words]
+            while todo:  # what the test names in its file
+                part = own[file].get(todo.pop(), set()) - words
+                words |= part
+                todo += part
+            self.words[item.nodeid] = words
+
+    def order(self, package: Package, mutant: dict[str, Any], cost: dict[str, float]) -> list[Any]:
+        """Return the tests to run for a mutant, the most promising ones first."""
+        levels = package.levels(mutant["file"], mutant["line"])
+        inside = mutant["file"].removeprefix("src/nacre/")
+        homes = next(
+            (h for start, h in HOMES.items() if inside.startswith(start)), (Path(inside).parts[1].split(".")[0],)
+        )
+        stem = Path(inside).stem
+        tokens = {t for t in f"{stem}_{Path(inside).parent.name}".split("_") if len(t) > 3}
+        of_file: dict[str, float] = {}
+        for file, words in self.file_words.items():
+            of_file[file] = (
+                3.0 * (stem in words) + 2.5 * (file.split("/")[1] in homes) + self._named(levels, words, 3.0)
+            )
+            of_file[file] += 1.5 * sum(token in file for token in tokens)
+        ranked = []
+        for item in self.items:
+            words = self.words[item.nodeid]
+            score = of_file[item.nodeid.partition("::")[0]] + self._named(levels, words, 8.0)
+            score += 6.0 * ({stem, Path(inside).parent.name} <= words)  # the examples of a docstring
+            seconds = cost.get(item.nodeid, UNKNOWN_S) + 5.0 * (item.get_closest_marker("render") is not None)
+            if score > 1.5:
+                ranked.append((-score / (0.4 + seconds) ** 0.4, item.nodeid, item))
+        return [item for *_, item in sorted(ranked, key=lambda r: r[:2])[:MOST_TESTS]]
+
+    def _named(self, levels: dict[str, int], words: set[str], weight: float) -> float:
+        return max((weight / levels[name] for name in levels.keys() & words), default=0.0)

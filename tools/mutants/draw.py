@@ -129,14 +129,10 @@ def draw(root: Path, seed: int, count: int) -> dict[str, object]:
                 key = hashlib.sha256(f"{name} {text}".encode()).hexdigest()[:12]
                 drawn.append(
                     dict(id=key, file=name, line=line, operator=operator.removeprefix("core/"), occurrence=occurrence,
-                         before=before, after=after, original=_sha(texts[name]), text=text)
+                         before=before, after=after, original=texts[name], text=text)
                 )  # fmt: skip
                 break
     return {"seed": seed, "lines": len(lines), "mutations": sum(map(len, on_line.values())), "drawn": drawn}
-
-
-def _sha(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 if __name__ == "__main__":

@@ -1,107 +1,147 @@
-"""Run the tests against mutants, one after the other, in a copy of the tree with compile caches of its own.
+"""Run the tests against mutants: import and collect once, then fork a process for each mutant.
 
-A worker loads the packages of others once and forks for each mutant, so that a mutant costs its tests and little
-more. What the mutant's file changes is compiled anew: its own cache and those of all files above it go first, for
-numba does not notice a callee changed in another file.
+The fork of a mutant in a function's body replaces that function's code. A mutant in a constant, a default, a decorator
+or a class is put in while the package is imported: its process forks before that, and collects its tests itself. What
+numba compiled of a mutant's line is compiled anew, outside its disk cache. A test that fails counts where it passes
+without the mutant.
+
+    python -m tools.mutants.worker PLACE NUMBER COUNT LIMIT_S    (every COUNT-th mutant)
 """
 
 from __future__ import annotations
 
-import contextlib
-import functools
+import gc
+import importlib
+import importlib.abc
+import importlib.machinery
 import json
 import os
-import shutil
 import signal
 import sys
 import time
 import traceback
+from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any
 
-from tools.mutants.choose import Baseline, import_graph
+import hypothesis
+import numba
+import numba.core.event
+import numpy as np
+import pytest
+from tools.mutants.choose import Package, Tests
 
-LIMIT_S = 60.0  # of the processor, the import of the package and compiling included
-PATIENCE_S = 1800.0  # on the clock, against a test that waits; all other limits are of the processor
-SLOWER = 3.0  # times its own time: a killed mutant
-ALLOWANCE_S = 8.0  # of the processor, beside that: imports that another test paid for in the baseline
+PATIENCE_S = 900.0  # on the clock, against a test that waits; all other limits are of the processor
+COMPILING_S = 60.0  # beside the limit
+SLOWER = 3.0  # times its own time, and more than the limit: a killed mutant
+OVERHEAD_S = 10.0  # of the first test in a process
+FILES = 12  # that a mutant collects which is put in while importing
 FOREIGN = (
-    "pytest _pytest.assertion.rewrite hypothesis numpy numba.core.event pydantic yaml tomlkit PIL.Image jax colour tmm "
-    "scipy.stats scipy.optimize scipy.special scipy.integrate scipy.interpolate scipy.sparse.linalg scipy.ndimage"
+    "numba.core.event pydantic yaml tomlkit PIL.Image jax colour tmm filelock jinja2 scipy.stats scipy.optimize "
+    "scipy.special scipy.integrate scipy.interpolate scipy.sparse.linalg scipy.ndimage"
 ).split()
-NO_VERDICT = (5, 70)  # no tests found; the machinery itself failed
+SKIPPED = (
+    "docs/test_n",
+    "docs/test_r",
+    "docs/test_s",
+    "cli",
+    "render_scenes",
+    "design",
+    "study",
+    "studio",
+    "plot",
+    "test_packaging",
+    "test_every_verb",
+)
+OPTIONS = (
+    "-q -s -p no:cacheprovider -p no:xdist -p no:cov -W ignore --continue-on-collection-errors --timeout=0".split()
+    + ["-m", "not full and not gpu"]
+)  # fmt: skip
 TICK = os.sysconf("SC_CLK_TCK")
 
 
-@functools.cache
-def importers(root: Path) -> dict[str, set[str]]:
-    """For each file, all that import it, however far, and itself."""
-    graph = import_graph(root)
-    name = {module: str(path.relative_to(root)) for module, path in graph.files.items()}
-    found = {file: {file} for file in name.values()}
-    grows = True
-    while grows:
-        before = sum(map(len, found.values()))
-        for module, others in graph.arrows.items():
-            for other in others:
-                found[name[other]] |= found[name[module]]
-        grows = sum(map(len, found.values())) > before
-    return found
+def changed_function(before: CodeType, after: CodeType) -> tuple[str, int, CodeType] | None:
+    """Return (qualified name, first line, new code) of the one function that differs; None where more does."""
+    if before.co_flags & 0x2:  # a function
+        return None if before == after else (before.co_qualname, before.co_firstlineno, after)
+    outer = [
+        (c.co_code, c.co_names, [None if isinstance(k, CodeType) else repr(k) for k in c.co_consts])
+        for c in (before, after)
+    ]
+    pairs = list(zip(before.co_consts, after.co_consts, strict=False))
+    inner = [(a, b) for a, b in pairs if isinstance(a, CodeType) and isinstance(b, CodeType) and a != b]
+    found = changed_function(*inner[0]) if outer[0] == outer[1] and len(inner) == 1 else None
+    return found if found and "<" not in found[0].rpartition(".")[2] else None
 
 
-def forget_compiled(path: Path) -> None:
-    """Remove what Python and numba kept of a file."""
-    for kept in (path.parent / "__pycache__").glob(f"{path.stem}.*"):
-        kept.unlink()
+def module_of(file: str) -> str:
+    """Return the module's name of a file."""
+    return file.removeprefix("src/").removesuffix(".py").replace("/", ".").removesuffix(".__init__")
 
 
-class Slot:
-    """A copy of the tree that holds one mutant at a time."""
+class Loader(importlib.machinery.SourceFileLoader):
+    """Loads the mutant's file."""
 
-    def __init__(self, base: Path, place: Path) -> None:
-        self.base, self.place = base, place
-        shutil.rmtree(place, ignore_errors=True)
-        shutil.copytree(base, place, ignore=shutil.ignore_patterns(".git"))
+    mutant: dict[str, Any]
 
-    def fill(self, mutant: dict[str, Any]) -> None:
-        """Put a mutant in."""
-        source = self.place / "src"
-        shutil.rmtree(source)
-        shutil.copytree(self.base / "src", source)
-        # compiled code of any of these may hold code of the file
-        for name in importers(self.base)[mutant["file"]]:
-            forget_compiled(self.place / name)
-        (self.place / mutant["file"]).write_text(mutant["text"], encoding="utf-8")
+    def get_code(self, fullname: str) -> CodeType | None:
+        """Compile the mutated text in place of the file's."""
+        if Path(self.path) == Path(self.mutant["file"]).resolve():
+            return compile(self.mutant["text"], self.path, "exec")
+        return super().get_code(fullname)
 
 
-def run_tests(place: Path, plan: Path, log: Path, out: Path, files: list[str]) -> None:
-    """Become pytest, in a forked child; never returns."""
-    status = 70
-    try:
-        os.setsid()
-        sink = os.open(out, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-        os.dup2(sink, 1)
-        os.dup2(sink, 2)
-        os.chdir(place)
-        os.environ.update(
-            PYTHONPATH=f"{place}/src",
-            NACRE_MUTANTS_PLAN=str(plan),
-            NACRE_MUTANTS_LOG=str(log),
-            NACRE_PROJECT=str(place),
-        )
-        sys.path.insert(0, f"{place}/src")
-        # read when the plugin is imported, in this child for the first time
-        import pytest
+def import_mutant(mutant: dict[str, Any]) -> None:
+    """Let the import of the mutant's file load its mutated text."""
+    Loader.mutant = mutant
+    name = module_of(mutant["file"])
 
-        options = "-x -q -p no:cacheprovider -p no:xdist -p no:cov -p tools.mutants.plugin".split()
-        loaded = ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # packages that the worker loaded before
-        status = int(pytest.main([*options, *loaded, "-m", "not full and not gpu", *files]))
-    except BaseException:
-        traceback.print_exc()
-    finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(status)
+    class Finder(importlib.abc.MetaPathFinder):
+        def find_spec(self, fullname: str, path: Any, target: Any = None) -> Any:
+            spec = importlib.machinery.PathFinder.find_spec(fullname, path) if fullname == name else None
+            if spec and spec.origin:
+                spec.loader = Loader(fullname, spec.origin)
+            return spec
+
+    sys.meta_path.insert(0, Finder())
+
+
+def compile_anew(kernels: set[tuple[str, str]]) -> None:
+    """Compile these kernels without numba's disk cache, and all in this process, without locks between processes."""
+    from nacre.core import jit
+
+    usual = jit._dispatcher
+    jit._compiled_by_one = lambda dispatcher: dispatcher
+
+    def dispatcher(function: Any, options: dict[str, Any]) -> Any:
+        file = str(Path(function.__code__.co_filename).relative_to(Path.cwd()))
+        if (file, function.__name__) in kernels:
+            jit._register_listener()
+            return numba.njit(**options)(function)
+        return usual(function, options)
+
+    jit._dispatcher = dispatcher
+    numba.config.OPT = 1 if kernels else 3  # half the time of compiling
+
+
+class Compiling(numba.core.event.Listener):
+    """Adds up what numba's compiler takes of the processor."""
+
+    seconds, depth, start = 0.0, 0, 0.0
+
+    def on_start(self, event: Any) -> None:
+        """Note the time at the outermost start."""
+        if self.depth == 0:
+            self.start = time.process_time()
+        self.depth += 1
+
+    def on_end(self, event: Any) -> None:
+        """Add the time since then."""
+        self.depth -= 1
+        if self.depth == 0:
+            Compiling.seconds += time.process_time() - self.start
 
 
 def spent(pid: int) -> float:
@@ -113,111 +153,268 @@ def spent(pid: int) -> float:
     return sum(map(int, fields[11:15])) / TICK
 
 
-class Watch:
-    """Reads a run's log and compares each test's time with the baseline."""
+class Session:
+    """Pytest's plugin that tries mutants in place of running the tests."""
 
-    def __init__(self, log: Path, baseline: Baseline) -> None:
-        self.log, self.baseline = log, baseline
-        self.at = 0
-        self.test, self.began, self.compiling, self.compiled = "", 0.0, 0.0, 0.0
-        self.compiled_in_all = 0.0
-        self.ran = 0
-        self.killer: dict[str, Any] | None = None
+    def __init__(self, place: Path, limit_s: float) -> None:
+        self.place, self.limit_s = place, limit_s
+        self.package = Package(Path.cwd())
+        self.log, self.out = place / "events.jsonl", place / "output.txt"
+        self.known = place / "tests.json"  # what they cost, and those that fail without a mutant
+        kept = json.loads(self.known.read_text()) if self.known.exists() else {"cost": {}, "failed": []}
+        self.cost: dict[str, float] = kept["cost"]
+        self.failed = set(kept["failed"])
+        self.fast: list[dict[str, Any]] = []
 
-    def read(self) -> None:
-        """Take in the lines that are new."""
-        if not self.log.exists():
-            return
-        with self.log.open(encoding="utf-8") as log:
-            log.seek(self.at)
-            for line in log.readlines():
-                if not line.endswith("\n"):
-                    break
-                self.at += len(line.encode())
-                self._take(json.loads(line))
+    # in the processes that have the tests
 
-    def _take(self, event: dict[str, Any]) -> None:
-        if "start" in event:
-            self.test, self.began, self.compiling, self.compiled = event["start"], event["cpu"], 0.0, 0.0
-        elif event.get("compile") == "start":
-            self.compiling = event["cpu"]
-        elif event.get("compile") == "end":
-            self.compiled += event["cpu"] - self.compiling
-            self.compiled_in_all += event["cpu"] - self.compiling
-            self.compiling = 0.0
-        elif event.get("outcome") == "failed":
-            self.killer = self.killer or {"by": "failure", "test": event["test"], "reason": event["reason"][-600:]}
-        elif "end" in event:
-            self.ran += 1
-            self.compare(event["cpu"])
-            self.test = ""
+    def pytest_collection_finish(self, session: pytest.Session) -> None:
+        """Take the tests that remain after pytest has chosen by mark."""
+        self.items = list(session.items)
+        gc.unfreeze()
 
-    def compare(self, cpu: float) -> None:
-        """Say that a test takes too long, if it does."""
-        if self.test and not self.compiling:
-            taken = cpu - self.began - self.compiled
-            usual = self.baseline.cost_of(self.test)
-            if taken > SLOWER * usual + ALLOWANCE_S:
-                reason = f"{taken:.1f} s of the processor; {usual:.1f} s without the mutant"
-                self.killer = self.killer or {"by": "time", "test": self.test, "reason": reason}
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self) -> bool:
+        """Try the mutants of functions, and write down the tests of the others."""
+        functions = self.functions()
+        tests = Tests(Path.cwd(), self.items)
+        print(f"mutants: {len(self.items)} tests collected, {time.process_time():.0f} s", flush=True)
+        plans: dict[str, list[str]] = {}
+        for mutant in self.fast:
+            order = [item for item in tests.order(self.package, mutant, self.cost) if item.nodeid not in self.failed]
+            text = Path(mutant["file"]).read_text(encoding="utf-8")
+            name = str(Path(mutant["file"]).resolve())
+            found = changed_function(compile(text, name, "exec"), compile(mutant["text"], name, "exec"))
+            places = functions[name, *found[:2]] if found else []
+            if found is None or not places:
+                plans[mutant["id"]] = [item.nodeid for item in order]
+                continue
+
+            def work(change: Callable[[], None], order: list[Any] = order) -> int:
+                change()
+                return self.run(order)
+
+            def change(places: list[Any] = places, code: CodeType = found[2], mutant: Any = mutant) -> None:
+                compile_anew(self.package.kernels_of(mutant["file"], mutant["line"]))
+                for function in places:
+                    function.__code__ = code
+
+            self.attempt(mutant, len(order), lambda w=work, c=change: w(c), self.alone)
+        (self.place / "plans.json").write_text(json.dumps(plans), encoding="utf-8")
+        self.confirm(self.alone)
+        return True
+
+    def confirm(self, alone: Callable[[str], int]) -> None:
+        """Run the tests that failed without a mutant, in one process; forget the answers of those that fail again."""
+        path = self.place / "results.jsonl"
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        answers = [json.loads(line) for line in lines]
+        unsure = {a["test"] for a in answers if a.get("by") == "failure" and "::" in a["test"]}
+        unsure -= self.cost.keys() | self.failed
+        _, _, events = self.watch(lambda: max((alone(test) for test in sorted(unsure)), default=0), patient=True)
+        self.cost |= {e["end"]: e["took"] for e in events if "end" in e}
+        self.failed |= (wrong := {e["failed"] for e in events if "failed" in e})
+        self.cost = {test: took for test, took in self.cost.items() if test not in wrong}
+        self.known.write_text(json.dumps({"cost": self.cost, "failed": sorted(self.failed)}))
+        right = [json.dumps(a) + "\n" for a in answers if a.get("test") not in wrong]
+        path.write_text("".join(right), encoding="utf-8")
+        print(f"mutants: {len(unsure)} tests run without a mutant; these fail too: {sorted(wrong)}", flush=True)
+
+    def functions(self) -> dict[tuple[str, str, int], list[FunctionType]]:
+        """Import the files of the mutants, and return all functions by file, name and line."""
+        for file in {mutant["file"] for mutant in self.fast}:
+            importlib.import_module(module_of(file))
+        found: dict[tuple[str, str, int], list[FunctionType]] = defaultdict(list)
+        for thing in gc.get_objects():
+            if type(thing) is FunctionType:
+                code = thing.__code__
+                found[code.co_filename, code.co_qualname, code.co_firstlineno].append(thing)
+        gc.freeze()
+        return found
+
+    def run(self, order: list[Any]) -> int:
+        """Run the tests, in a process of the mutant, up to the first that fails or the limit; return the status."""
+        failed: list[str] = []
+        log = self.log.open("a", buffering=1, encoding="utf-8")
+
+        class Reports:
+            def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+                if report.failed:
+                    failed.append(report.nodeid)
+                    log.write(json.dumps({"failed": report.nodeid, "reason": str(report.longrepr)[-600:]}) + "\n")
+
+        def own_s() -> float:
+            return sum(os.times()[:4]) - min(Compiling.seconds, COMPILING_S)
+
+        order = [item for item in order if item.nodeid not in self.failed]
+        began = own_s()
+        for item, after in zip(order, [*order[1:], None], strict=True):
+            if item is order[0]:
+                item.config.pluginmanager.register(Reports())
+            start = own_s()
+            log.write(json.dumps({"start": item.nodeid}) + "\n")
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=after)
+            log.write(json.dumps({"end": item.nodeid, "took": round(own_s() - start, 3)}) + "\n")
+            if failed:
+                return 1
+            if own_s() - began > self.limit_s:
+                return 3
+        return 0
+
+    def alone(self, test: str) -> int:
+        """Run one test without a mutant."""
+        compile_anew(set())
+        return self.run([item for item in self.items if item.nodeid == test])
+
+    # in the process that watches
+
+    def watch(self, work: Callable[[], int], patient: bool = False) -> tuple[int | None, float, list[dict[str, Any]]]:
+        """Fork a process for `work`; return its status, its processor seconds and its events."""
+        self.log.write_text("")
+        began, taken = time.monotonic(), 0.0
+        child = os.fork()
+        if child == 0:
+            status = 70
+            try:
+                os.setsid()
+                sink = os.open(self.out, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+                os.dup2(sink, 1)
+                os.dup2(sink, 2)
+                status = work()
+            except BaseException:
+                traceback.print_exc()
+            finally:
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(status)
+        status: int | None = None
+        while status is None:
+            time.sleep(0.1)
+            ended, code = os.waitpid(child, os.WNOHANG)
+            status = os.waitstatus_to_exitcode(code) if ended else None
+            taken = max(taken, spent(child))
+            late = taken > SLOWER * self.limit_s + COMPILING_S or time.monotonic() - began > PATIENCE_S
+            if status is None and late and not patient:
+                os.killpg(child, signal.SIGKILL)
+                os.waitpid(child, 0)
+                break
+        return status, taken, [json.loads(line) for line in self.log.read_text().splitlines()]
+
+    def attempt(self, mutant: dict[str, Any], count: int, work: Callable[[], int], alone: Callable[[str], int]) -> None:
+        """Try a mutant until its tests pass, or one fails that passes without it; note what came of it."""
+        answer = {"id": mutant["id"], "tests": count, "cpu": 0.0}
+        while "outcome" not in answer:
+            status, taken, events = self.watch(work)
+            answer["cpu"] = round(answer["cpu"] + taken, 1)
+            answer["ran"] = sum("end" in event for event in events)
+            failure = next((e for e in events if "failed" in e), None)
+            running = events[-1].get("start", "") if events else ""
+            if failure:
+                answer |= {"outcome": "killed", "by": "failure", "test": failure["failed"], "reason": failure["reason"]}
+            elif running:  # the process died, or took too long
+                test, known = running, self.cost.get(running)
+                usual, took, _ = (0, known, []) if known is not None else self.watch(lambda test=test: alone(test))
+                answer["cpu"] = round(answer["cpu"] + (took if known is None else 0.0), 1)
+                if usual in (0, 3) and (status is not None or SLOWER * took + OVERHEAD_S < taken):
+                    answer |= {"outcome": "killed", "by": "failure" if status else "time", "test": test}
+                    answer["reason"] = f"{taken:.0f} s, alone {took:.0f} s; {status}"
+                else:
+                    self.failed.add(test)  # without a mutant, or for longer than a mutant may take
+            elif status in (0, 3):
+                why = "all passed" if status == 0 else f"{self.limit_s:.0f} s ran out"
+                answer |= {"outcome": "survived", "why": why if count else "no test names it"}
+            else:  # the package cannot be imported, or no test be collected
+                reason = self.out.read_text(encoding="utf-8", errors="replace")[-600:]
+                answer |= {
+                    "outcome": "killed",
+                    "by": "failure",
+                    "test": "(collecting)",
+                    "reason": f"{status}: {reason}",
+                }
+            self.cost |= {e["end"]: e["took"] for e in events if e.get("end", answer.get("test")) != answer.get("test")}
+        self.known.write_text(json.dumps({"cost": self.cost, "failed": sorted(self.failed)}))
+        with (self.place / "results.jsonl").open("a", encoding="utf-8") as results:
+            results.write(json.dumps(answer) + "\n")
+        verdict = f"{answer['outcome']} {answer.get('test') or answer.get('why')}"
+        print(f"{mutant['file']}:{mutant['line']} {verdict} ({answer['ran']} tests, {answer['cpu']} s)", flush=True)
 
 
-def try_mutant(slot: Slot, mutant: dict[str, Any], baseline: Baseline, limit_s: float) -> dict[str, Any]:
-    """Run the tests against a mutant; answer what came of it."""
-    slot.fill(mutant)
-    tests = baseline.plan(mutant["file"], mutant["line"])
-    plan, log, out = (slot.place.with_suffix(s) for s in (".plan", ".log", ".out"))
-    plan.write_text(json.dumps(tests), encoding="utf-8")
-    log.unlink(missing_ok=True)
-    answer = {"id": mutant["id"], "tests": len(tests)}
-    if not tests:
-        return {**answer, "outcome": "survived", "why": "no test reaches it", "ran": 0, "seconds": 0.0, "cpu": 0.0}
-    files = list(dict.fromkeys(test.partition("::")[0] for test in tests))
-    start = time.monotonic()
-    child = os.fork()
-    if child == 0:
-        run_tests(slot.place, plan, log, out, files)
-    watch = Watch(log, baseline)
-    status, taken = None, 0.0
-    while status is None:
-        time.sleep(0.1)
-        ended, code = os.waitpid(child, os.WNOHANG)
-        status = os.waitstatus_to_exitcode(code) if ended else None
-        watch.read()
-        taken = max(taken, spent(child))
-        watch.compare(taken)
-        late = taken > LIMIT_S or taken - watch.compiled_in_all > limit_s or time.monotonic() - start > PATIENCE_S
-        if status is None and (watch.killer or late):
-            os.killpg(child, signal.SIGKILL)
-            os.waitpid(child, 0)
-            break
-    answer |= {"seconds": round(time.monotonic() - start, 1), "cpu": round(taken, 1), "ran": watch.ran}
-    if watch.killer is None and status not in (None, 0):
-        tail = out.read_text(encoding="utf-8", errors="replace")[-600:]
-        if status in NO_VERDICT:
-            raise RuntimeError(f"{mutant['file']}:{mutant['line']}: no verdict, status {status}: {tail}")
-        # no test failed, and yet pytest did: the package cannot be imported, or the process died
-        watch.killer = {"by": "failure", "test": watch.test or "(collecting)", "reason": f"status {status}: {tail}"}
-    if watch.killer:
-        return {**answer, "outcome": "killed", **watch.killer}
-    return {**answer, "outcome": "survived", "why": "all passed" if status == 0 else f"{limit_s:.0f} s ran out"}
+class Imported:
+    """Pytest's plugin of a process that imports its mutant: it runs the tests of a plan."""
+
+    def __init__(self, session: Session, plan: list[str], kernels: set[tuple[str, str]]) -> None:
+        self.session, self.plan, self.kernels, self.status = session, plan, kernels, 70
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Run those of the plan, in its order."""
+        compile_anew(self.kernels)
+        found = {item.nodeid: item for item in session.items}
+        files = {test.partition("::")[0] for test in found}
+        gone = [test for test in self.plan if test.partition("::")[0] not in files]
+        if gone:  # files that cannot be imported
+            with self.session.log.open("a", encoding="utf-8") as log:
+                log.write(json.dumps({"failed": gone[0], "reason": "cannot be collected"}) + "\n")
+            self.status = 1
+        else:
+            self.status = self.session.run([found[test] for test in self.plan if test in found])
+        return True
+
+
+def try_while_importing(session: Session, mutant: dict[str, Any], plan: list[str]) -> None:
+    """Try a mutant that has to be there when the package is imported."""
+    files = list(dict.fromkeys(test.partition("::")[0] for test in plan))[:FILES]
+    plan = [test for test in plan if test.partition("::")[0] in files]
+    kernels = session.package.kernels_of(mutant["file"], mutant["line"])
+
+    def work() -> int:
+        import_mutant(mutant)
+        return collect(session, plan, kernels)
+
+    session.attempt(mutant, len(plan), work, lambda test: collect(session, [test], set()))
+
+
+def collect(session: Session, tests: list[str], kernels: set[tuple[str, str]]) -> int:
+    """Collect the files of these tests, and run the tests."""
+    plugin = Imported(session, [test for test in tests if test not in session.failed], kernels)
+    pytest.main([*OPTIONS, *dict.fromkeys(test.partition("::")[0] for test in tests)], plugins=[plugin])
+    return plugin.status
 
 
 def main() -> None:
-    """Work through the mutants whose place in the list is NUMBER modulo COUNT: worker.py PLACE NUMBER COUNT LIMIT."""
+    """Try the mutants of todo.json: first those of functions, then those of modules and classes."""
     place, number, count, limit_s = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4])
-    mutants = json.loads((place / "todo.json").read_text(encoding="utf-8"))[number::count]
-    baseline = Baseline.read(place / "base", place / "baseline.json")
+    hypothesis.settings.register_profile("mutants", derandomize=True, deadline=None, database=None)
+    hypothesis.settings.load_profile("mutants")
     for name in FOREIGN:
-        with contextlib.suppress(ImportError):
-            __import__(name)
-    slot = Slot(place / "base", place / f"slot{number}")
+        importlib.import_module(name)
+    numba.njit(lambda x: x + 1.0)(np.zeros(3))  # loads numba's compiler
+    numba.core.event.register("numba:compile", Compiling())
+    mutants = json.loads((place / "todo.json").read_text(encoding="utf-8"))[number::count]
+    os.chdir(place / "base")  # the modules of this tool come from the tree itself
+    place = place / f"worker{number}"
+    place.mkdir(exist_ok=True)
+    files = [str(p) for p in sorted(Path("tests").rglob("test_*.py"))]
+    files = [f for f in files if not f.startswith(tuple(f"tests/{s}" for s in SKIPPED))]
+    package = Package(Path.cwd())
+    groups: dict[bool, list[dict[str, Any]]] = {False: [], True: []}
     for mutant in mutants:
-        answer = try_mutant(slot, mutant, baseline, limit_s)
-        with (place / "results.jsonl").open("a", encoding="utf-8") as results:
-            results.write(json.dumps(answer) + "\n")
-        verdict = f"{answer['outcome']} {answer.get('test') or answer.get('why')}"
-        print(f"{mutant['file']}:{mutant['line']} {verdict} ({answer['cpu']} s of {answer['seconds']} s)", flush=True)
+        groups[bool(package.kernels_of(mutant["file"], mutant["line"]))].append(mutant)
+    for group in (groups[False], groups[True]):  # those that numba has to compile last
+        (place / "plans.json").unlink(missing_ok=True)
+        child = os.fork() if group else 0
+        if group and child == 0:
+            session = Session(place, limit_s)
+            session.fast = group
+            os._exit(int(pytest.main([*OPTIONS, *files], plugins=[session])))
+        if group:
+            os.waitpid(child, 0)
+            plans = json.loads((place / "plans.json").read_text(encoding="utf-8"))
+            session = Session(place, limit_s)
+            for mutant in group:
+                if mutant["id"] in plans:
+                    try_while_importing(session, mutant, plans[mutant["id"]])
+            session.confirm(lambda test, session=session: collect(session, [test], set()))
 
 
 if __name__ == "__main__":

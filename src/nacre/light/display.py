@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,9 +17,6 @@ from nacre.core.errors import NacreError, did_you_mean
 from nacre.light import colour_spaces as spaces
 from nacre.light.colour_spaces import delta_e_76, delta_e_2000
 from nacre.light.tristimulus import Illuminant, spectrum_to_xyz, weighted_sum, white_xyz, xyz_weights
-
-if TYPE_CHECKING:
-    pass
 
 
 def spectrum_to_rgb_matrix(

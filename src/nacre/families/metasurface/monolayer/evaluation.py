@@ -190,7 +190,7 @@ class SpecularTables:
 
         angles = (np.arange(CHECKED_ANGLES) + 0.5) / CHECKED_ANGLES
         above = tabulate_nodes(outside, MOST_NODES, np.cos(np.pi / 2 * angles), angles[:0], (6, 7), *ACCEPTED)
-        outside_errors = np.arccos(np.clip(above.checked, 0.0, 1.0))[:, None], above.errors
+        outside_errors = np.arccos(above.checked)[:, None], above.errors
         if not (transmits and eta > 1.0):
             errors = AngleErrors(outside_errors, outside_errors) if transmits else AngleErrors(outside_errors)
             return cls(above.nodes, np.zeros(0), above.values, np.zeros((0, len(layers))), errors)
