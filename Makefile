@@ -37,7 +37,7 @@ coverage: setup
 	@$(PY) -m coverage combine -q
 	@$(PY) -m coverage report --skip-covered --sort=cover
 
-# small errors in the physics, and how many the tests notice: up to 90 minutes; a second run goes on where one stopped
+# small errors in the physics, and how many the tests notice: an hour of one core; a second run goes on where one stopped
 mutants: setup
 	@$(PY) -m tools.mutants $(if $(AGAIN),--again)
 

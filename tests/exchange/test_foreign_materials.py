@@ -105,6 +105,15 @@ def shader(path: Path, kind: str, space: str = "lin_rec709", **inputs: str) -> P
     return path
 
 
+def test_a_document_has_at_most_16_mebibytes(tmp_path: Path) -> None:
+    path = shader(tmp_path / "x.mtlx", "standard_surface", thin_film_thickness='value="300"')
+    path.write_text(path.read_text().ljust(16 << 20))
+    assert read_materialx(path).thickness_nm == pytest.approx(300.0)
+    path.write_text(path.read_text() + "\n")
+    with pytest.raises(NacreError):
+        read_materialx(path)
+
+
 @pytest.mark.parametrize(
     ("kind", "inputs", "nm"),
     [

@@ -73,9 +73,9 @@ def renewed(mutant: dict[str, Any]) -> dict[str, Any] | None:
     return {**mutant, "line": found[0] + 1, "text": "".join(lines)}
 
 
-def try_mutants(todo: list[dict[str, Any]], limit_s: float) -> None:
+def try_mutants(todo: list[dict[str, Any]], limit_s: float, tests: list[str]) -> None:
     """Run the workers: with the copy's package, one thread of BLAS, a libLLVM that works."""
-    (PLACE / "todo.json").write_text(json.dumps(todo), encoding="utf-8")
+    (PLACE / "todo.json").write_text(json.dumps({"mutants": todo, "tests": tests}), encoding="utf-8")
     (PLACE / "temporary").mkdir(exist_ok=True)
     found = sorted((ROOT / ".llvm" / "usr" / "lib").glob("*/libLLVM*.so*"))
     llvm = {"DRJIT_LIBLLVM_PATH": str(found[0])} if found and "DRJIT_LIBLLVM_PATH" not in os.environ else {}
@@ -101,6 +101,7 @@ def main() -> int:
     parser.add_argument("--again", action="store_true", help="try the survivors anew, with sources and tests of now")
     parser.add_argument("--limit", type=float, default=30.0, help="seconds a mutant")
     parser.add_argument("--only", nargs="+", help="the beginnings of the keys of some mutants")
+    parser.add_argument("--tests", nargs="+", default=["tests/"], help="the beginnings of the names of tests' files")
     parser.add_argument("--report", action="store_true", help="only write the report")
     options = parser.parse_args()
     if not options.report:
@@ -118,7 +119,7 @@ def main() -> int:
                     (PLACE / "worker0").mkdir(exist_ok=True)
                     with (PLACE / "worker0" / "results.jsonl").open("a", encoding="utf-8") as results:
                         results.write(json.dumps({"id": mutant["id"], "outcome": "survived", "why": "gone"}) + "\n")
-        try_mutants(todo, options.limit)
+        try_mutants(todo, options.limit, options.tests)
     return write_report(ROOT, PLACE)
 
 

@@ -175,7 +175,7 @@ class Tests:
             score += 6.0 * ({stem, Path(inside).parent.name} <= words)  # the examples of a docstring
             seconds = cost.get(item.nodeid, UNKNOWN_S) + 5.0 * (item.get_closest_marker("render") is not None)
             if score > 1.5:
-                ranked.append((-score / (0.4 + seconds) ** 0.4, item.nodeid, item))
+                ranked.append((-score / (0.4 + seconds) ** 0.7, item.nodeid, item))
         return [item for *_, item in sorted(ranked, key=lambda r: r[:2])[:MOST_TESTS]]
 
     def _named(self, levels: dict[str, int], words: set[str], weight: float) -> float:

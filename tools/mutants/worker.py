@@ -56,9 +56,10 @@ SKIPPED = (
     "test_every_verb",
 )
 OPTIONS = (
-    "-q -s -p no:cacheprovider -p no:xdist -p no:cov -W ignore --continue-on-collection-errors --timeout=0".split()
-    + ["-m", "not full and not gpu"]
-)  # fmt: skip
+    *"-q -s -p no:cacheprovider -p no:xdist -p no:cov --continue-on-collection-errors --timeout=0".split(),
+    *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # packages that were imported before
+    *("-m", "not full and not gpu"),
+)
 TICK = os.sysconf("SC_CLK_TCK")
 
 
@@ -390,15 +391,19 @@ def main() -> None:
         importlib.import_module(name)
     numba.njit(lambda x: x + 1.0)(np.zeros(3))  # loads numba's compiler
     numba.core.event.register("numba:compile", Compiling())
-    mutants = json.loads((place / "todo.json").read_text(encoding="utf-8"))[number::count]
+    todo = json.loads((place / "todo.json").read_text(encoding="utf-8"))
     os.chdir(place / "base")  # the modules of this tool come from the tree itself
     place = place / f"worker{number}"
     place.mkdir(exist_ok=True)
     files = [str(p) for p in sorted(Path("tests").rglob("test_*.py"))]
-    files = [f for f in files if not f.startswith(tuple(f"tests/{s}" for s in SKIPPED))]
+    files = [
+        f
+        for f in files
+        if f.startswith(tuple(todo["tests"])) and not f.startswith(tuple(f"tests/{s}" for s in SKIPPED))
+    ]
     package = Package(Path.cwd())
     groups: dict[bool, list[dict[str, Any]]] = {False: [], True: []}
-    for mutant in mutants:
+    for mutant in todo["mutants"][number::count]:
         groups[bool(package.kernels_of(mutant["file"], mutant["line"]))].append(mutant)
     for group in (groups[False], groups[True]):  # those that numba has to compile last
         (place / "plans.json").unlink(missing_ok=True)
@@ -406,6 +411,7 @@ def main() -> None:
         if group and child == 0:
             session = Session(place, limit_s)
             session.fast = group
+            compile_anew(set())  # before a test's file calls a kernel
             os._exit(int(pytest.main([*OPTIONS, *files], plugins=[session])))
         if group:
             os.waitpid(child, 0)
