@@ -21,6 +21,7 @@ from nacre.analysis.lut import make_table
 from nacre.bsdf.lobes.interface import Specular
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
+from nacre.formats.lut import angle_coordinate
 from nacre.light import spectrum_to_rgb_matrix, srgb_decode
 from nacre.light.tristimulus import illuminant, weighted_sum
 from nacre.measure.colours import colour_bsdf
@@ -273,3 +274,8 @@ def test_each_side_of_a_refracting_closure_has_the_index_of_the_medium_beyond() 
     front, behind = _closure_lines(table, Closure("refract", "front", "behind", "ggx", (0.2, 0.2), 1.5)).splitlines()
     assert '"front.exr"' in front and float(front.split(", ")[-2]) == 1.5
     assert '"behind.exr"' in behind and float(behind.split(", ")[-2]) == pytest.approx(1 / 1.5)
+
+
+def test_the_coordinate_of_an_angle_is_its_share_of_a_right_angle() -> None:
+    angles = np.array([0.0, 22.5, 60.0, 90.0])
+    np.testing.assert_allclose(angle_coordinate(np.cos(np.radians(angles))), angles / 90.0, atol=1e-12)

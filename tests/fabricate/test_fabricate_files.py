@@ -19,7 +19,7 @@ from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.relief.diffraction_orders import Coherence
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Tile
-from nacre.formats.layouts import PUBLISHED_CALIBRATION, read_calibration
+from nacre.formats.layouts import PUBLISHED_CALIBRATION, read_calibration, write_levels
 from nacre.formats.number_maps import check_size, write_png16, write_tiff16
 from nacre.matter.indices.library import index
 
@@ -334,3 +334,9 @@ def test_a_side_of_an_image_has_one_to_a_million_pixels() -> None:
     for rows, columns in ((1_000_001, 1), (1, 1_000_001), (0, 1), (1, 0)):
         with pytest.raises(UnsupportedError):
             check_size(rows, columns)
+
+
+def test_levels_count_from_zero(tmp_path: Path) -> None:
+    with pytest.raises(UnsupportedError):
+        write_levels(tmp_path / "levels.gds", np.array([[0, -1], [1, 2]]), 0.5)
+    assert not (tmp_path / "levels.gds").exists()

@@ -267,3 +267,11 @@ def test_the_few_wavelengths_of_a_walk_keep_the_colour_of_a_pigment_with_fringes
         xyz = np.interp(grid, fine, curve) @ light.smooth_weights(grid, illuminant, "10deg")
         worst = max(worst, float(light.delta_e_2000(true, light.xyz_to_lab(xyz, white))))
     assert worst <= STEP_BAR
+
+
+def test_a_swatch_is_black_white_or_the_grey_of_its_luminance() -> None:
+    white = light.white_xyz("A")
+    grey = round(255 * (1.055 * 0.2 ** (1 / 2.4) - 0.055))  # sRGB, IEC 61966-2-1
+    assert [light.swatch_hex(share * white, white) for share in (0.0, 0.2, 1.0)] == [
+        "#000000", "#" + 3 * f"{grey:02x}", "#ffffff",
+    ]  # fmt: skip

@@ -218,3 +218,7 @@ def test_a_list_from_a_strip_has_the_density_of_its_points(tmp_path: Path) -> No
     pattern = points_pattern(RecipeContext("r.toml", tmp_path), "xy.csv", 100.0)
     # 4 particles a square um; which rows the edges of the square take or leave is worth one of 20
     assert len(pattern.xy_nm) / (pattern.box_nm * 1e-3) ** 2 == pytest.approx(4.0, rel=0.1)
+
+
+def test_points_that_fill_nothing_are_independent_beyond_contact():
+    assert baus_colot_pair_correlation([0.0, 0.999, 1.0, 3.0], 0.0).tolist() == [0.0, 0.0, 1.0, 1.0]

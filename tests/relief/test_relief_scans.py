@@ -101,6 +101,11 @@ def test_a_scan_of_a_sinusoid_is_as_steep_and_as_smooth_as_one() -> None:
     assert [found.slope, found.feature, found.smoothness] == pytest.approx([0.2 / 2.0, 2.0 / 0.55, 1.0], rel=0.03)
 
 
+def test_a_flat_scan_is_no_steeper_than_a_mirror() -> None:
+    found = Scan(np.zeros((32, 32)), 100.0).validity()
+    assert (found.slope, found.smoothness, found.de00, found.is_outside) == (0.0, 1.0, 0.0, False)
+
+
 def rough(count: int, pitch_um: float, sq_um: float, length_um: float, seed: int = 1) -> np.ndarray:
     """Return normal heights with the autocorrelation exp(-(r / length)^2), periodic beyond the scan."""
     f = np.fft.fftfreq(count, pitch_um)
