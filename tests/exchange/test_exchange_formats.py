@@ -75,6 +75,14 @@ def test_a_tensor_file_round_trips_bit_by_bit(tmp_path: Path, film: nacre.Bsdf) 
         assert again[name].dtype == value.dtype
 
 
+def test_a_tensor_file_is_linear_between_the_wavelengths(film: nacre.Bsdf) -> None:
+    first, second = film.wavelengths_nm[:2]
+    own = rgl_fields(film, resolution=8, theta_nodes=3)["spectra"]
+    between = rgl_fields(film, resolution=8, theta_nodes=3, wavelengths_nm=[0.5 * (first + second), second])["spectra"]
+    np.testing.assert_allclose(between[:, :, 0], own[:, :, :2].mean(axis=2), rtol=1e-5)
+    np.testing.assert_allclose(between[:, :, 1], own[:, :, 1], rtol=1e-5)
+
+
 @pytest.mark.render
 def test_mitsubas_own_reader_reads_our_tensor_file(tmp_path: Path, film: nacre.Bsdf) -> None:
     import nacre.render
