@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from nacre import light
 from nacre.core.errors import NacreError, RecipeError
-from nacre.families.film.spec import FilmSpec
-from nacre.material.material import load, material
+from nacre.families.film.spec import FilmSpec, leading_layer
+from nacre.material.material import Material, load, material
 from nacre.recipe.model import RecipeContext, validate
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -169,3 +170,24 @@ def test_a_recipe_error_is_the_class_that_is_raised() -> None:
 def test_a_key_of_another_table_is_named_with_its_place() -> None:
     with pytest.raises(RecipeError, match=r'key roughness is not known\. Did you mean "surface\.roughness"\?'):
         material({"family": "film", "substrate": "Si", "roughness": 0.2})
+
+
+def test_the_map_of_a_film_is_over_the_layer_whose_ten_percent_change_the_colour_most() -> None:
+    """15 nm of chromium change the colour more than the glass below once they are nearly left out, but not at 10 %."""
+    thicknesses = {"Cr": 15.0, "SiO2": 350.0}
+    wavelengths = np.arange(380.0, 781.0, 10.0)
+
+    def film(**changed: float) -> Material:
+        layers = [{"material": m, "thickness_nm": changed.get(m, d)} for m, d in thicknesses.items()]
+        return material({"family": "film", "substrate": "Si", "layers": layers})
+
+    def lab(name: str, factor: float) -> np.ndarray:
+        seen = film(**{name: factor * thicknesses[name]}).bsdf(wavelengths).specular(np.zeros(1)).reflectance
+        return light.xyz_to_lab(light.spectrum_to_xyz(seen, wavelengths), light.white_xyz("D65"))
+
+    def change(name: str, factor: float) -> float:
+        return float(light.delta_e_2000(lab(name, factor), lab(name, 2.0 - factor))[0])
+
+    assert change("Cr", 0.1) > change("SiO2", 0.1)
+    assert change("SiO2", 0.9) > change("Cr", 0.9)
+    assert leading_layer(film().model) == 1
