@@ -179,3 +179,16 @@ def test_a_table_states_the_error_of_transmitted_orders(monkeypatch: pytest.Monk
     solved = solve_many([(stack, wavelength, float(t), float(a) + np.pi) for t, a in zip(theta, azimuth, strict=True)])
     exact = [float(s.transmitted.efficiency[np.all(s.transmitted.numbers == 0, axis=1)].mean()) for s in solved]
     assert table.between > np.quantile(np.abs(seen - exact), 0.9)
+
+
+@pytest.mark.parametrize("step", [0, 1, 2])
+def test_conical_light_loses_no_digits_where_a_mode_has_no_wave_number(step: int) -> None:
+    """Ridges of glass, one wavelength wide inside, have a mode with kappa = 0 at this direction, in which E_x and E_y
+    cancel to all digits. Energy stays within 1e-7, and efficiencies are continuous in the permittivity."""
+    direction = (600.0, np.radians(45.0), np.radians(225.0))
+    near, at = (
+        solve_many([(lines((400.0, epsilon, 400.0), period=800.0, substrate=1.5), *direction)], step)[0]
+        for epsilon in (2.25 + 1e-4, 2.25)
+    )
+    assert np.abs(total(at) - 1.0).max() <= 1e-7
+    assert np.abs(at.transmitted.efficiency - near.transmitted.efficiency).max() <= 1e-3

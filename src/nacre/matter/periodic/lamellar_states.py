@@ -23,6 +23,7 @@ Blocks = list[list[Array]]
 LARGEST_TANGENT = 1e4  # larger ones, at a resonance between a layer's faces, lose digits; two halves replace the layer
 GROWTH = 1.3  # between distances from pole to pole beyond the exact ones; the tangent is exact to 1e-7
 OFF_POLE = 1e-9  # least distance from a pole, over its place
+SINGULAR = 3e-5  # smaller eigenvalues of E_y at k_y = 0 cost digits in conical light, by their inverse square
 FURTHER = 4  # exact poles beyond the largest argument
 
 
@@ -110,7 +111,9 @@ def tangent_poles(exact: int, octaves: int) -> tuple[Array, Array]:
     return np.concatenate([lowest, poles]), np.concatenate([np.full(exact, 2.0), residues])
 
 
-def layer_states(space: Space, values: Array, depth: Array, k_y: Array) -> list[tuple[Array, Array]]:
+def layer_states(
+    space: Space, values: Array, depth: Array, k_y: Array, can_be_singular: bool = True
+) -> list[tuple[Array, Array]]:
     """Return a layer's f / e in the even state and e / f in the odd one, `[case, function, function]`; twice if halved.
 
     Without k_y, E_x and E_y decouple: the cases for E_y follow those for E_x.
@@ -118,6 +121,8 @@ def layer_states(space: Space, values: Array, depth: Array, k_y: Array) -> list[
     Args:
         values: permittivity `[case, region]`.
         depth: `[case]`, thickness times k0.
+        can_be_singular: conical light couples the modes of E_x and E_y by an inverse, whose singularities cancel; a
+            case near one takes the mean of the states with larger and smaller permittivities, exact to second order.
     """
     slope, up = space.slope, space.slope.conj().swapaxes(1, 2)
     q_x, q_y = values[:, space.region, None], space.masses(values) - up @ slope
@@ -134,6 +139,12 @@ def layer_states(space: Space, values: Array, depth: Array, k_y: Array) -> list[
     # an LSM mode has E_y = mixed E_x, and an LSE mode H_y = mixed* H_x up to the sign
     b = 1j * k_y[:, None, None]
     inverse = np.linalg.inv(q_y)
+    if can_be_singular:
+        is_near = np.linalg.norm(inverse @ space.masses(np.ones_like(values)), axis=(1, 2)) * SINGULAR > 1.0
+        if np.any(is_near):
+            change = 2.0 * SINGULAR * is_near[:, None]
+            pair = [layer_states(space, values * (1.0 + sign * change), depth, k_y, False) for sign in (1.0, -1.0)]
+            return [tuple(0.5 * (a + b) for a, b in zip(*each, strict=True)) for each in zip(*pair, strict=False)]
     mixed, back = -b * inverse @ up, b * slope @ inverse
     crossed, through = even_y @ mixed, mixed @ odd_x
     even = blocks(

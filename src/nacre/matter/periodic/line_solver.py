@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nacre.core.arrays import gauss_legendre
-from nacre.matter.periodic.lamellar_modes import layer_modes, line_modes
+from nacre.matter.periodic.lamellar_modes import LineModes, layer_modes, line_modes
 from nacre.matter.periodic.lamellar_solver import flat_orders, is_patterned, values_at
 from nacre.matter.periodic.line_basis import (
     LineBasis,
@@ -44,6 +44,7 @@ from nacre.matter.periodic.structure import (
 from nacre.matter.periodic.types import Array
 
 GRADING = 0.18
+SINGULAR = 1e-6  # modes with smaller kappa^2 are parallel to others in conical light, by its inverse
 
 
 def solve_lines(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, level: int) -> OrderSolution:
@@ -93,12 +94,21 @@ def _basis_and_layers(
         key = PatternLayer(0.0, layer.epsilon, layer.shapes)
         if key not in solved:
             solved[key] = (
-                layer_modes(line_modes(alpha, *basis.permittivity(_element_values(basis, layer, k0))), transverse[1])
+                layer_modes(_line_modes(basis, _element_values(basis, layer, k0), transverse[1]), transverse[1])
                 if is_patterned(layer)
                 else uniform_modes(layer.epsilon, alpha, beta)
             )
         layers.append(solved[key])
     return basis, layers
+
+
+def _line_modes(basis: LineBasis, values: Array, k_y: float) -> LineModes:
+    """Return the modes of a layer; where conical light would lose digits, with a slightly larger permittivity."""
+    matrices = basis.permittivity(values)
+    found = line_modes(basis.alpha, *matrices)
+    if k_y and min(np.abs(found.lse_squared).min(), np.abs(found.lsm_squared).min()) < SINGULAR:
+        found = line_modes(basis.alpha, *((1.0 + 2.0 * SINGULAR) * matrix for matrix in matrices))
+    return found
 
 
 def line_response(
