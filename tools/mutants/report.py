@@ -64,7 +64,7 @@ def write_report(root: Path, place: Path) -> int:
         lines += ["", f"{len(draw['drawn']) - len(tried)} of the {len(draw['drawn'])} drawn were not tried."]
     left = [m for m in tried if m not in killed and m not in gone]
     short = [m for m in left if answers[m["id"]]["why"].endswith("ran out")]
-    equal = [m for m in left if notes.get(m["id"], "").startswith("equivalent")]
+    equal = [m for m in left if notes.get(m["id"], "").startswith(("equivalent", "near equivalent"))]
     lines += [
         "", "## Survivors", "",
         f"{len(equal)} of the {len(left)} are equivalent, or so nearly that no claim parts them from "
