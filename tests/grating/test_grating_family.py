@@ -274,6 +274,20 @@ def test_a_material_whose_orders_do_not_converge_is_refused_and_a_coarse_table_w
     assert found["estimated_error"] == 0.1 and len(found["warnings"]) == 1
 
 
+def test_directions_of_a_turned_lattice_obey_the_grating_equation_in_the_surface() -> None:
+    turn, azimuth, theta = np.radians([30.0, 70.0, 25.0])
+    made = {"family": "grating", "substrate": "Al", "profile": {"shape": "sinusoidal", "depth_nm": 60},
+            "lattice": {"period_nm": 900}, "orientation": {"turn_deg": 30}}  # fmt: skip
+    found = nacre.orders(made, 25, 70, [550])
+    towards = np.array([np.cos(azimuth), np.sin(azimuth)])
+    across = np.array([np.cos(turn), np.sin(turn)])
+    expected = -np.sin(theta) * towards + found.numbers[:, :1] * 550 / 900 * across
+    got = found.reflected_direction[0, 0, :, :2]
+    there = np.isfinite(got[:, 0])
+    assert there.sum() >= 3 and got[there] == pytest.approx(expected[there], abs=1e-9)
+    assert found.azimuth_rad == pytest.approx(azimuth)
+
+
 def test_disorder_moves_light_from_orders_to_a_diffuse_part() -> None:
     lam = np.array([500.0, 600.0])
     wi = np.array([0.0, 0.0, 1.0])

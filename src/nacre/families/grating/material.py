@@ -16,7 +16,7 @@ from nacre.bsdf.lobes.orders import OrdersLobe, limited_width
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import is_transparent
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
-from nacre.core.arrays import Array, gauss_legendre, interpolate, take_uniform
+from nacre.core.arrays import Array, gauss_legendre, interpolate, rotation_about_z, take_uniform
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Diffracting, Fabricable, Pixels, Traits
 from nacre.families.grating.profiles import outlines
@@ -174,8 +174,14 @@ class Grating(Diffracting, Pixels, Fabricable):
         stacks = dict(zip(lam.tolist(), self.stacks(lam), strict=True))
         azimuth = azimuth_rad - np.radians(self.turn_deg)
         if self.is_coarse:
-            return coarse_orders(lambda w: stacks[w], theta_rad, azimuth, lam)
-        return solve_orders(lambda w: stacks[w], theta_rad, azimuth, lam, self.tolerance)
+            found = coarse_orders(lambda w: stacks[w], theta_rad, azimuth, lam)
+        else:
+            found = solve_orders(lambda w: stacks[w], theta_rad, azimuth, lam, self.tolerance)
+        turn = rotation_about_z(np.radians(self.turn_deg)).T  # rows: axes of the lattice in the surface's frame
+        return replace(
+            found, azimuth_rad=azimuth_rad, reflected_direction=found.reflected_direction @ turn,
+            transmitted_direction=found.transmitted_direction @ turn,
+        )  # fmt: skip
 
     def transmits_orders(self, wavelengths_nm: Array) -> bool:
         """Whether the substrate is clear."""
