@@ -62,6 +62,10 @@ LIMITS: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "glass_red": (("", "Magkiriadou et al. 2014: which of two is greater; *word*: saturated is below a half"),),
     "grating_errors": (("energy|reciprocity", "*bar*: 1e-8"), ("", "*bar*: 95 of 100 stated errors are not exceeded")),
+    "grating_pillars": (
+        ("largest difference", "*bar*: 4e-3 of gratings of two periods"),
+        ("", "theory: a difference is at most the sum of both errors"),
+    ),
     "metasurface_choice": (("", "*bar*: 0.12, up to which the mean field is taken, as of mixtures"),),
     "metasurface_critical_packing": (
         ("rms", "statistics: twice what the number of modes in a ring leaves"),
