@@ -24,6 +24,7 @@ FRACTION_REACH = (
     192.0  # of |u|: the fraction of tan(sqrt u) / sqrt u is exact to 1e-8 there; energy is always conserved
 )
 TERMS = 17  # of the fraction
+HERMITIAN = 1e-12  # rounding of matrices without loss, over their largest entry
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +118,10 @@ def slab(p: Array, q: Array, depth: float) -> Slab:
     """
     half = 0.5 * depth
     tangent = half * tangent_over_root(half**2 * (p @ q))
-    return Slab(1j * (q @ tangent), 1j * (tangent @ p))
+    even, odd = q @ tangent, tangent @ p
+    if all(np.abs(m - m.conj().T).max() <= HERMITIAN * np.abs(m).max() for m in (p, q)):
+        even, odd = (0.5 * (m + m.conj().T) for m in (even, odd))  # rounding would take or add energy
+    return Slab(1j * even, 1j * odd)
 
 
 @lru_cache(maxsize=1)
