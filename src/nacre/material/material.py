@@ -349,6 +349,12 @@ class Material:
             )  # fmt: skip
         return material_from_data(self.data, dataclasses.replace(self.context, is_low_fidelity=True))
 
+    def at_full_fidelity(self) -> Material:
+        """Return the material as its recipe gives it: the inverse of `at_low_fidelity`."""
+        if not self.context.is_low_fidelity:
+            return self
+        return material_from_data(self.data, dataclasses.replace(self.context, is_low_fidelity=False))
+
     def get(self, path: str) -> Any:
         """Return the recipe's value at a path such as `strata[0].platelets[0].volume_fraction`.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.families.contract import is_direct
+from nacre.families.contract import ExpensiveMethod, Mixed, is_direct
 from nacre.light import (
     delta_e_2000,
     lab_to_lch,
@@ -22,12 +23,15 @@ from nacre.light import (
     xyz_to_lab,
 )
 from nacre.material.material import Material
+from nacre.matter.periodic.structure import NotConvergedError
 from nacre.measure.geometry import Geometry
 from nacre.measure.texture import TextureQuantity
 from nacre.optimise.measurement import Measurement, evaluation_wavelengths, search_wavelengths, simulate_measurement
 from nacre.optimise.merit import texture_deviation
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import Target
+
+logger = logging.getLogger("nacre")
 
 SEED_OFFSET = 0x5EED  # the Monte Carlo seeds differ from those of the search
 MAX_NOISE = 0.1  # in tolerances
@@ -105,12 +109,31 @@ def evaluate(
 ) -> tuple[list[TargetResult], Measurement]:
     """Return the results for all targets and lamps, and the measurement at `geometries_of(targets)`.
 
+    Gratings are solved as for spectra; if they do not converge, a warning says so and the search's solution counts.
     A Monte Carlo estimate is repeated with other seeds until the noise of every distance is a tenth of its tolerance,
     or the time is over.
 
     Raises:
         NacreError: the material cannot be computed.
     """
+    try:
+        return _evaluated(as_written(material), targets, light, seed, seconds)
+    except NotConvergedError as error:
+        logger.warning("%s: %s; stated colours have the lower accuracy of the search", material.context.source, error)
+        return _evaluated(material, targets, light, seed, seconds)
+
+
+def as_written(material: Material) -> Material:
+    """Return a candidate with the accuracy of its written recipe, unless that takes an expensive method."""
+    full = material.at_full_fidelity()
+    model = full.model
+    parts = [part for _, group in model.mixture for _, part in group] if isinstance(model, Mixed) else [model]
+    return material if any(isinstance(p, ExpensiveMethod) and p.expensive_method for p in parts) else full
+
+
+def _evaluated(
+    material: Material, targets: Sequence[Target], light: LightSpec, seed: int, seconds: float
+) -> tuple[list[TargetResult], Measurement]:
     geometries = geometries_of(targets)
     begun = time.monotonic()
     fine, coarse = (choose(material, light.illuminants) for choose in (evaluation_wavelengths, search_wavelengths))
@@ -121,7 +144,7 @@ def evaluate(
     grid, seed = fine if is_quick else coarse, seed + SEED_OFFSET
     measured = simulate_measurement(material, geometries, grid, seed=seed)
     if measured.error is None:
-        if not is_quick:  # only Monte Carlo estimates stay on the coarse grid
+        if not np.array_equal(grid, fine):  # only Monte Carlo estimates stay on the coarse grid
             measured = simulate_measurement(material, geometries, fine, seed=seed)
         return results_of(measured, targets, light), measured
     estimates = [measured.factors]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import textwrap
 import time
 from collections.abc import Callable
@@ -20,8 +21,9 @@ from nacre.core.html import png_uri, render_page
 from nacre.families.contract import Pixels
 from nacre.light import delta_e_2000, lab_to_xyz, xyz_to_lab
 from nacre.material.material import load
+from nacre.matter.periodic.structure import NotConvergedError
 from nacre.optimise.checkpoint import Checkpointer, unreadable
-from nacre.optimise.evaluation import SEED_OFFSET, TargetResult
+from nacre.optimise.evaluation import SEED_OFFSET, TargetResult, as_written
 from nacre.optimise.gamut import colour_chart
 from nacre.optimise.html_report import PICTURE, REPORT
 from nacre.optimise.image.colour_grid import ColourGrid, ColourSampler, Palette, fine_grid, level_grid
@@ -34,6 +36,8 @@ from nacre.plot.style import DPI, data_uri
 
 if TYPE_CHECKING:
     from nacre.plot import Figure
+
+logger = logging.getLogger("nacre")
 
 REACHED = "reached.png"
 GRID_SHARE = 0.6  # share of a given time limit, after which the palette is not refined further
@@ -192,7 +196,8 @@ def _sampler(task: DesignTask, is_final: bool = False) -> ColourSampler:
     light = task.spec.light
     seed = task.spec.search.seed + (SEED_OFFSET if is_final else 0)
     pair = (light.illuminants[0], light.observer)
-    return ColourSampler(task.material, task.parameters, task.targets[0].geometry, pair, seed, is_final)
+    material = as_written(task.material) if is_final else task.material
+    return ColourSampler(material, task.parameters, task.targets[0].geometry, pair, seed, is_final)
 
 
 def _figures(task: DesignTask, picture: PictureDesign) -> dict[str, Any]:
@@ -226,7 +231,12 @@ def _evaluate_pixels(task: DesignTask, picture: PictureDesign) -> dict[str, Any]
     chosen = values[np.random.default_rng(task.spec.search.seed).integers(len(values), size=count)]
     low, high = (np.array([getattr(p, end) for p in task.parameters]) for end in ("low", "high"))
     points, inverse = np.unique((chosen - low) / (high - low), axis=0, return_inverse=True)
-    accurate = np.asarray(xyz_to_lab(sampler.xyz(points), sampler.white))[inverse.reshape(-1)]
+    try:
+        xyz = sampler.xyz(points)
+    except NotConvergedError as error:
+        logger.warning("%s: %s; pixels are checked with the accuracy of the palette", task.context.source, error)
+        xyz = _sampler(task).xyz(points)
+    accurate = np.asarray(xyz_to_lab(xyz, sampler.white))[inverse.reshape(-1)]
     indices = tuple(np.searchsorted(axis, column) for axis, column in zip(picture.grid.axes, chosen.T, strict=True))
     interpolated = np.asarray(xyz_to_lab(picture.grid.xyz[indices], picture.white))
     off = np.asarray(delta_e_2000(accurate, interpolated))
