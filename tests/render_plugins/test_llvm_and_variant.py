@@ -325,7 +325,7 @@ for recipe in recipes:
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.wi = mi.Vector3f(*map(float, eye[k]))
         si.wavelengths = mi.Spectrum(*map(float, bsdf.wavelengths_nm[nodes]))
-        si.uv = mi.Point2f(*uv)
+        si.uv = mi.Point2f(*map(float, uv))
         wo = mi.Vector3f(*map(float, light[k]))
         value = np.array(plugin.eval(mi.BSDFContext(), si, wo)) / abs(light[k, 2])
         worst = max(worst, np.abs(value - expected[k, nodes]).max() / expected.max())
