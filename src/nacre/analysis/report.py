@@ -36,6 +36,7 @@ from nacre.measure.colours import colour_bsdf, recipe_geometries
 from nacre.measure.evaluate import (
     SelectiveBand,
     circular_reflection,
+    evaluate_for_colours,
     evaluate_with_error,
     hemispherical,
     selective_band,
@@ -178,11 +179,11 @@ def make_report(
     light = (illuminant, observer)
     standard = [Geometry("aspecular", 45.0, angle) for angle in geometry.ASPECULAR_DEG]
     wi, wo = aspecular_pairs([*standard, *named.values()])
-    factor, error = evaluate_with_error(bsdf, wi, wo, samples=samples, seed=seed)
+    factor, error, grid = evaluate_for_colours(bsdf, wi, wo, samples=samples, seed=seed)
     further, factor = factor[len(standard) :], factor[: len(standard)]
     labels = tuple(map(str, standard))
     aspecular = colour_table(
-        "aspecular, 45 degree incidence", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *light, labels
+        "aspecular, 45 degree incidence", geometry.ASPECULAR_DEG, np.pi * factor, grid, *light, labels
     )
     aspecular = replace(aspecular, aspecular_deg=aspecular.angles_deg)
     warn_of_table(bsdf, np.radians([*SPECULAR_ANGLES_DEG, *geometry.GLOSS_APERTURES_DEG]))
@@ -197,19 +198,19 @@ def make_report(
     for name, values in parts.items():
         for angle, value in zip((0, 45), values, strict=True):
             totals[f"{name}_{angle}"] = float(value)
-    flop_lab = colour_table("flop", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *geometry.FLOP_LIGHT).lab
+    flop_lab = colour_table("flop", geometry.ASPECULAR_DEG, np.pi * factor, grid, *geometry.FLOP_LIGHT).lab
     lightness = {a: lab[0] for a, lab in zip(geometry.ASPECULAR_DEG, flop_lab, strict=True)}
     return Report(
         name=material.name,
         illuminant=illuminant,
         observer=observer,
         aspecular=aspecular,
-        specular=colour_table("mirror direction", SPECULAR_ANGLES_DEG, mirror, bsdf, *light)
+        specular=colour_table("mirror direction", SPECULAR_ANGLES_DEG, mirror, bsdf.wavelengths_nm, *light)
         if mirror.max() > MIRROR_THRESHOLD
         else None,
         geometries=replace(
             colour_table(
-                "further geometries", [g.view_deg for g in named.values()], np.pi * further, bsdf, *light, tuple(named)
+                "further geometries", [g.view_deg for g in named.values()], np.pi * further, grid, *light, tuple(named)
             ),
             aspecular_deg=np.array([g.aspecular_deg for g in named.values()]),
         )
@@ -234,14 +235,14 @@ def colour_table(
     what: str,
     angles_deg: Sequence[float],
     factors: Array,
-    bsdf: Bsdf,
+    wavelengths_nm: Array,
     illuminant: str,
     observer: str,
     labels: tuple[str, ...] = (),
 ) -> ColourTable:
     """Return the colours of reflectance factors `[angle, wavelength]`; default labels: "specular ANGLE"."""
     # the random-walk spectrum is interpolated smoothly between its few wavelengths
-    xyz = np.asarray(factors @ smooth_weights(bsdf.wavelengths_nm, illuminant, observer))
+    xyz = np.asarray(factors @ smooth_weights(wavelengths_nm, illuminant, observer))
     lab = xyz_to_lab(xyz, white_xyz(illuminant, observer))
     swatches = tuple(swatch_hex(row, white_xyz(illuminant, observer)) for row in xyz)
     labels = labels or tuple(f"specular {angle:g}" for angle in angles_deg)

@@ -15,7 +15,7 @@ from nacre.bsdf.lobes.interface import Microfacet
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.light import lamp_lines_nm, spectrum_to_xyz, white_xyz, with_lamp_lines, xyz_to_lab
-from nacre.measure.evaluate import evaluate_with_error
+from nacre.measure.evaluate import evaluate_for_colours, evaluate_with_error
 from nacre.measure.geometry import Geometry, aspecular_pairs, named_geometries, spectrum_at
 
 WALK_NM = np.linspace(380.0, 780.0, 26)  # 16 nm; 20 nm causes errors up to 0.9 dE00
@@ -107,7 +107,8 @@ def colour_values(
     if few is not None:
         return few
     bsdf = colour_bsdf(material, illuminant, coarse=False)
-    return evaluate_with_error(bsdf, wi, wo, samples=samples, seed=seed)[0], np.asarray(bsdf.wavelengths_nm)
+    values, _, wavelengths_nm = evaluate_for_colours(bsdf, wi, wo, samples=samples, seed=seed)
+    return values, wavelengths_nm
 
 
 def recipe_geometries(material: Any) -> dict[str, Geometry]:

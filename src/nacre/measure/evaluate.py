@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import logging
 from dataclasses import dataclass
@@ -14,15 +15,18 @@ from nacre.bsdf import Bsdf, Lobe
 from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.lobes.interface import Diffuse, Microfacet
 from nacre.bsdf.lobes.masked import MaskedLobe
+from nacre.bsdf.lobes.orders import OrdersLobe
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array, direction, floats
 from nacre.core.errors import UnsupportedError
 from nacre.core.machine import check_memory
+from nacre.light.tristimulus import spline_matrix
 
 logger = logging.getLogger("nacre")
 
 BYTES_PER_VALUE = 40  # per pair and wavelength: the sum, the values of one lobe, and intermediate results
 UNIT_TOLERANCE = 1e-3  # of a vector's length
+LEAST_STEP_NM = 0.25  # between the wavelengths of colours
 DEFAULT_SAMPLES = 4096  # paths per direction pair: about 2 % noise for a broad lobe
 
 
@@ -70,6 +74,35 @@ def evaluate_with_error(
         else:
             total = total + lobe.evaluate(wi_array, wo_array, uv_array)
     return total, None if variance is None else np.sqrt(variance)
+
+
+def evaluate_for_colours(
+    bsdf: Bsdf, wi: Array, wo: Array, *, samples: int | None = None, seed: int = 0
+) -> tuple[Array, Array | None, Array]:
+    """Return `evaluate_with_error`, and its wavelengths `[wavelength]`, close enough for the lines of orders.
+
+    At fixed directions each order of a grating is a line of a few nanometres, narrower than the steps of most grids.
+    Other lobes are interpolated by splines.
+
+    Args:
+        wi, wo: `[pair, 3]`.
+    """
+    own = np.asarray(bsdf.wavelengths_nm)
+    orders = [(lobe, share) for lobe, share in (unmasked(each, None, (1,)) for each in bsdf.lobes)
+              if isinstance(lobe, OrdersLobe)]  # fmt: skip
+    step = max(0.5 * min((lobe.line_nm for lobe, _ in orders), default=np.inf), LEAST_STEP_NM)
+    counts = np.ceil(np.diff(own) / step).astype(int)
+    if not orders or counts.max(initial=1) == 1:
+        return *evaluate_with_error(bsdf, wi, wo, samples=samples, seed=seed), own
+    grid = np.interp(np.arange(counts.sum() + 1), np.concatenate([[0], np.cumsum(counts)]), own)
+    rest = tuple(each for each in bsdf.lobes if not isinstance(unmasked(each, None, (1,))[0], OrdersLobe))
+    total, error = np.zeros((len(wi), len(grid))), None
+    if rest:
+        values, error = evaluate_with_error(dataclasses.replace(bsdf, lobes=rest), wi, wo, samples=samples, seed=seed)
+        total = values @ spline_matrix(own, grid).T
+    for lobe, share in orders:
+        total = total + lobe.evaluate_on(grid, wi, wo) * share[..., None]
+    return total, error, grid
 
 
 def warn_of_table(bsdf: Bsdf, theta_rad: Array) -> None:

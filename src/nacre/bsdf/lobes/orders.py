@@ -130,40 +130,63 @@ class OrdersLobe(Lobe):
         phi = np.mod(np.arctan2(w[..., 1], w[..., 0]) / (2.0 * np.pi), 1.0) * (azimuths - 1)
         return interpolate(self.power, (*coordinates, theta, phi))
 
+    @property
+    def line_nm(self) -> float:
+        """Standard deviation in wavelength of the narrowest order at fixed directions."""
+        steepest = float(np.hypot(*(self.orders @ self.lattice).T).max(initial=1e-12))
+        return self.width / steepest
+
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return f in 1/sr, `[..., wavelength]`; zero for exits on the side that the orders do not leave to."""
+        return self.evaluate_on(self.wavelengths_nm, wi, wo, uv)
+
+    def evaluate_on(self, wavelengths_nm: Array, wi: Array, wo: Array, uv: Array | None = None) -> Array:
+        """Return `evaluate` at wavelengths within those of the lobe, between which efficiencies are interpolated."""
         wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
         wi, wo = self._rotated(wi, uv), self._rotated(wo, uv)
         shape = wi.shape[:-1]
         scale, coordinates = self._period(uv, shape)
         scale, coordinates = scale.reshape(-1, 1, 1), tuple(c.reshape(-1) for c in coordinates)
-        wi, wo = wi.reshape(-1, 3), wo.reshape(-1, 3)
-        above, other, factor = wi, wo, np.ones(len(wi))
-        if self.transmits:
-            is_up = wi[:, 2:] > 0.0
-            above, other = np.where(is_up, wi, wo), np.where(is_up, wo, wi) * [self.eta, self.eta, -1.0]
-            factor = np.where(is_up[:, 0], self.eta**2, 1.0)
-        q = (above + other)[:, None, :2] / self.wavelengths_nm[:, None] * scale  # [pair, wavelength, 2], in 1/nm
-        fraction = q @ self.inverse
-        number = np.rint(fraction).astype(np.int64)
-        off = (q - number @ self.lattice) / scale * self.wavelengths_nm[:, None]
-        shifted = np.sum(off**2, axis=-1) / self.width**2
-        table, first, second = self.places
-        known = (np.abs(number[..., 0]) <= first) & (np.abs(number[..., 1]) <= second)
-        place = table[np.clip(number[..., 0] + first, 0, 2 * first), np.clip(number[..., 1] + second, 0, 2 * second)]
-        known &= (place >= 0) & (shifted < 60.0) & ((above[:, 2] > 0) & (other[:, 2] > 0))[:, None]
-        result = np.zeros((len(wi), len(self.wavelengths_nm)))
-        lit = np.flatnonzero(known.any(axis=1))
+        above, other, factor = self._sides(wi.reshape(-1, 3), wo.reshape(-1, 3))
+        place, bell = self._bells(wavelengths_nm, above, other, scale)
+        result = np.zeros((len(above), len(wavelengths_nm)))
+        lit = np.flatnonzero(np.any(bell, axis=1))
         if lit.size:
             at_lit = tuple(c[lit] for c in coordinates)
             both = self.efficiencies(above[lit], at_lit)
             if not self.transmits:
                 both = 0.5 * (both + self.efficiencies(other[lit], at_lit))
-            at = np.clip(place[lit], 0, None)
-            value = np.take_along_axis(both, at[:, None, :], axis=1)[:, 0]
-            bell = np.exp(-0.5 * np.minimum(shifted[lit], 60.0)) / (2.0 * np.pi * self.width**2)
-            result[lit] = np.where(known[lit], value * bell, 0.0) * factor[lit, None]
+            node = np.interp(wavelengths_nm, self.wavelengths_nm, np.arange(len(self.wavelengths_nm)))
+            low = node.astype(int)
+            high, share = np.minimum(low + 1, len(self.wavelengths_nm) - 1), node - low
+            pair, at = np.arange(lit.size)[:, None], np.clip(place[lit], 0, None)
+            value = (1.0 - share) * both[pair, at, low] + share * both[pair, at, high]
+            result[lit] = value * bell[lit] * factor[lit, None]
         return result.reshape(*shape, -1)
+
+    def _sides(self, wi: Array, wo: Array) -> tuple[Array, Array, Array]:
+        """Return the direction above, that of q beside it, and the factor of f, `[pair, 3]` and `[pair]`."""
+        if not self.transmits:
+            return wi, wo, np.ones(len(wi))
+        is_up = wi[:, 2:] > 0.0
+        above, other = np.where(is_up, wi, wo), np.where(is_up, wo, wi) * [self.eta, self.eta, -1.0]
+        return above, other, np.where(is_up[:, 0], self.eta**2, 1.0)
+
+    def _bells(
+        self, wavelengths_nm: Array, above: Array, other: Array, scale: Array
+    ) -> tuple[NDArray[np.int64], Array]:
+        """Return the nearest order (-1: unknown) and G, 0 beyond some eight widths, `[pair, wavelength]`."""
+        q = (above + other)[:, None, :2] / wavelengths_nm[:, None] * scale  # [pair, wavelength, 2], in 1/nm
+        fraction = q @ self.inverse
+        number = np.rint(fraction).astype(np.int64)
+        off = (q - number @ self.lattice) / scale * wavelengths_nm[:, None]
+        shifted = np.sum(off**2, axis=-1) / self.width**2
+        table, first, second = self.places
+        known = (np.abs(number[..., 0]) <= first) & (np.abs(number[..., 1]) <= second)
+        place = table[np.clip(number[..., 0] + first, 0, 2 * first), np.clip(number[..., 1] + second, 0, 2 * second)]
+        known &= (place >= 0) & (shifted < 60.0) & ((above[:, 2] > 0) & (other[:, 2] > 0))[:, None]
+        bell = np.exp(-0.5 * np.minimum(shifted, 60.0)) / (2.0 * np.pi * self.width**2)
+        return place, np.where(known, bell, 0.0)
 
     def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
         """Return the light in all orders, for light along one `wi[3]`."""
