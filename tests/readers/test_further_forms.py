@@ -376,3 +376,54 @@ def test_a_number_below_a_title_ends_the_preamble(tmp_path: Path) -> None:
     with pytest.raises(AmbiguousFileError) as raised:
         open_file(path)
     assert raised.value.option == "columns"
+
+
+def test_columns_share_the_scale_of_a_stated_quantity(tmp_path: Path) -> None:
+    path = written(tmp_path, "s.csv", "Wavelength (nm),black,white\n" + rows(0.8, 80.0))
+    black, white = open_file(path, ReadOptions(quantity="reflectance"))
+    np.testing.assert_allclose(black.data["reflectance"][0], 0.00804)
+    np.testing.assert_allclose(white.data["reflectance"][0], 0.80004)
+
+
+@pytest.mark.parametrize("heading", ["Wavelength (µm) T", "Wavelength (um) T (%)"])
+def test_a_unit_apart_from_its_word_is_no_column(heading: str, tmp_path: Path) -> None:
+    scale = 0.01 if "%" in heading else 1.0
+    body = "".join(f"{nm / 1000:g} {0.5 / scale:g}\n" for nm in NM)
+    (found,) = open_file(written(tmp_path, "s.txt", f"{heading}\n{body}"))
+    np.testing.assert_allclose(found.data["transmittance"], 0.5)
+    np.testing.assert_allclose(found.data["wavelength_nm"], list(NM))
+
+
+def test_a_frequency_is_no_wavelength(tmp_path: Path) -> None:
+    body = "".join(f"{299792.458 / nm:.6f};0.5\n" for nm in NM)
+    (found,) = open_file(written(tmp_path, "s.csv", f'"frequency (THz)";R\n{body}'))
+    np.testing.assert_allclose(np.sort(found.data["wavelength_nm"]), list(NM), rtol=1e-8)
+
+
+def test_decimal_commas_between_blanks(tmp_path: Path) -> None:
+    body = "".join(f"{nm},5 123,{nm}\n" for nm in NM)
+    (found,) = open_file(written(tmp_path, "s.txt", f"Wavelength (nm)  R (%)\n{body}"))
+    np.testing.assert_allclose(found.data["reflectance"], [1.23 + nm / 1e5 for nm in NM])
+
+
+@pytest.mark.parametrize("row", ["abc", "12.5,0.5"])
+def test_a_damaged_row_does_not_end_a_table(row: str, tmp_path: Path) -> None:
+    whole = rows(30.0).splitlines()
+    whole[12] = whole[12].split(",")[0] + "," + row
+    path = written(tmp_path, "s.csv", "Wavelength (nm),R (%)\n" + "\n".join(whole) + "\n")
+    with pytest.raises(NacreError, match="line 14"):
+        open_file(path)
+
+
+def test_settings_below_a_table_are_no_rows(tmp_path: Path) -> None:
+    path = written(tmp_path, "s.csv", "Wavelength (nm),R (%)\n" + rows(30.0) + "\nStart (nm),400\nScan rate,600\n")
+    for options in (ReadOptions(), ReadOptions(format="table")):
+        (found,) = open_file(path, options)
+        np.testing.assert_allclose(found.data["wavelength_nm"], list(NM))
+        assert found.left_out
+
+
+def test_an_infinite_absorbance_is_missing(tmp_path: Path) -> None:
+    text = "Wavelength (nm),Absorbance\n" + rows(1.0).replace("1.00500", "inf")
+    (found,) = open_file(written(tmp_path, "s.csv", text))
+    np.testing.assert_allclose(found.data["wavelength_nm"], [nm for nm in NM if nm != 500])

@@ -26,7 +26,8 @@ from nacre.light import (
 )
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead
-from nacre.readers.spectra.common import blocks, number, read_lines
+from nacre.readers.spectra.common import blocks, read_lines
+from nacre.readers.text_table import number
 
 LEAST_OF_8_BITS = 90.0  # a* and b* of all colours above it are values of 8 bits, of which 128 is neutral
 _QUANTITIES = {"spectra", "reflectance", "srgb", "L", "X"}
@@ -441,7 +442,7 @@ def _cartesian(space: str, columns: list[Array]) -> list[Array]:
 
 
 def _number(path: Path, row: list[str], at: int, name: str) -> float:
-    value = number(row[at], comma=True)
+    value = number(row[at])
     if value is None or not np.isfinite(value):
         raise NacreError(f'{path}: row "{row[0][:20]}": {name} = "{row[at][:40]}" is not a number')
     return value

@@ -55,11 +55,12 @@ def curve(path: Path, axes: Sequence[Axis], options: ReadOptions | None = None) 
     """
     options = options or ReadOptions()
     try:
-        tables = load_tables(path).tables
+        file = load_tables(path)
     except NacreError as error:
         if "no rows" in str(error):
             raise NacreError(f"{path}: must hold two numbers a line") from None
         raise
+    tables = file.tables
     if len(tables) > 1:
         raise NacreError(f"{path}: holds {len(tables)} tables; keep one")
     names = tuple(axis.quantities[0] for axis in axes)
@@ -71,7 +72,7 @@ def curve(path: Path, axes: Sequence[Axis], options: ReadOptions | None = None) 
         line = columns.table.lines[int(np.flatnonzero(~np.isfinite(found).all(axis=1))[0])]
         raise NacreError(f"{path}: must hold finite numbers; line {line} does not")
     assumed = [] if not columns.table.headings else columns.assumed
-    return found, [*assumed, *(f'"{heading}" is not used' for heading in columns.unused)]
+    return found, [*assumed, *file.left_out, *(f'"{heading}" is not used' for heading in columns.unused)]
 
 
 def _check_cells(table: TextTable) -> None:

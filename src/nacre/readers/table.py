@@ -97,10 +97,9 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         return samples
     kinds = [kind_of(table, options) for table in file.tables]
     if all(kind == "constants" for kind in kinds):
-        return constants_of(path, options, file.tables)
-    found: list[Measurement] = []
-    for table, kind in zip(file.tables, kinds):
-        found += _measurements(table, kind, options)
+        found = constants_of(path, options, file.tables)
+    else:
+        found = [each for table, kind in zip(file.tables, kinds) for each in _measurements(table, kind, options)]
     if file.left_out:
         found = [replace(each, left_out=(*each.left_out, *file.left_out)) for each in found]
     return found

@@ -28,7 +28,7 @@ NUL_SHARE = 0.2  # padding of fixed-length names
 MISSING = frozenset(
     "|nan|-nan|n/a|na|n.a.|n.a|#n/a|#na|#nv|#div/0!|#value!|#wert!|#ref!|#bezug!|#num!|#zahl!|#name?|#null!|#error!|null|none|"
     "nil|-|--|---|.|..|...|nd|n.d.|n.d|missing|no data|nodata|ovr|overflow|inval|invalid|1.#qnan|-1.#ind|1.#ind|"
-    "-1.#qnan|nan(ind)|-nan(ind)".split("|")
+    "-1.#qnan|1.#inf|-1.#inf|nan(ind)|-nan(ind)".split("|")
 )
 REMARK_MARKS = ("#", "%", "!", "//", ";", "'", "*", "--")
 _FORTRAN = re.compile(r"([-+]?(?:\d+[.,]?\d*|[.,]\d+))[dDqQ]([-+]?\d+)")
@@ -37,6 +37,7 @@ _GROUPED = re.compile(r"[-+]?\d{1,3}(?:([,.'\u2019\u00a0\u202f ])\d{3})(?:\1\d{3
 _BARE_GROUPS = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
 _WITH_UNIT = re.compile(r"([-+]?[\d.,]+(?:[eEdD][-+]?\d+)?)\s*(%|°|deg|nm|um|µm|μm|mm|Å|eV|px|cm-1)")
 _HEX = re.compile(r"#(?:[0-9a-fA-F]{6}|[0-9a-fA-F]{3}|[0-9a-fA-F]{8})")
+LINE_END = re.compile(r"\r\n|\r|\n")
 _QUOTED_OR_WORD = re.compile(r'"[^"]*"|\S+')
 
 
@@ -56,6 +57,7 @@ def decode(data: bytes) -> str:
         text = data.decode(order, errors="replace")
     else:
         text = _decode_bytes(data)
+    text = text.rstrip("\0")  # padding behind the text
     if text[:20_000].count("\0") > NUL_SHARE * min(len(text), 20_000):
         raise UnicodeDecodeError("utf-8", data[:1], 0, 1, "is not text")
     text = text.replace("\0", "")
@@ -157,6 +159,7 @@ class TextTable:
         delimiter: None for blanks.
         decimal, grouping: marks of the numbers, see `number`.
         heading_line: line number of the headings; 0 without.
+        is_cut: whether the last row has fewer delimiters than the first.
     """
 
     path: Path
@@ -169,6 +172,7 @@ class TextTable:
     decimal: str = "."
     grouping: str = ""
     heading_line: int = 0
+    is_cut: bool = False
 
     @property
     def width(self) -> int:
@@ -188,8 +192,11 @@ class TextTable:
         """Whether all cells are missing."""
         return all(normal(row[column]).lower() in MISSING for row in self.rows)
 
-    def column(self, column: int) -> Floats:
+    def column(self, column: int, *, may_overflow: bool = False) -> Floats:
         """Return a column's numbers, NaN where missing.
+
+        Args:
+            may_overflow: whether "inf" is missing too, as the absorbance of an opaque sample.
 
         Raises:
             NacreError: a cell is neither a number nor missing; names its line.
@@ -206,6 +213,8 @@ class TextTable:
         values = np.empty(len(self.rows))
         for i, row in enumerate(self.rows):
             value = number(row[column], self.grouping)
+            if may_overflow and value is not None and math.isinf(value):
+                value = math.nan
             if value is None or math.isinf(value):
                 raise NacreError(
                     f'{self.path}: line {self.lines[i]}: "{row[column].strip()[:40]}" is not a finite number'
@@ -262,10 +271,10 @@ def read_tables(path: Path, knows: Callable[[str, str], bool], limit: int = MAX_
 
 def parse_tables(text: str, path: Path, knows: Callable[[str, str], bool]) -> TableFile:
     """Find the tables in a text; see `read_tables`."""
-    raw = [line.replace("\f", " ").replace("\v", " ") for line in re.split(r"\r\n|\r|\n", text)]
+    raw = [line.replace("\f", " ").replace("\v", " ") for line in LINE_END.split(text)]
     delimiter = find_delimiter(raw)
     lines = _classified(raw, delimiter, knows)
-    tables, left_out = [], []
+    tables = []
     above: list[_Line] = []
     rows: list[_Line] = []
     groups: list[tuple[list[_Line], list[_Line]]] = []
@@ -284,11 +293,15 @@ def parse_tables(text: str, path: Path, knows: Callable[[str, str], bool]) -> Ta
     trailing: list[_Line] = above if not rows else []
     if rows:
         groups.append((above, rows))
-    groups, carried = _without_stray_numbers(groups)
-    left_out += carried
+    groups, left_out = _without_stray_numbers(groups)
+    left_out += [_no_row(line) for line in trailing if any(_is_number(cell) for cell in line.cells[1:])]
     for heading_lines, data in groups:
         tables.append(_table(path, heading_lines, data, delimiter, knows))
     return TableFile(tables, tuple(line.text.strip() for line in trailing), tuple(left_out))
+
+
+def _no_row(line: _Line) -> str:
+    return f"line {line.number}: {line.text.strip()[:40]} is no row of a table"
 
 
 def _without_stray_numbers(
@@ -306,7 +319,7 @@ def _without_stray_numbers(
         is_stray = width < 2 and len(rows) <= 3 and largest >= 2 and any(len(r[0].cells) > 1 for _, r in groups)
         if is_stray:
             carried += [*above, *rows]
-            said.append(f"line {rows[0].number}: {rows[0].text.strip()[:40]} is no row of a table")
+            said.append(_no_row(rows[0]))
             continue
         kept.append(([*carried, *above], rows))
         carried = []
@@ -329,6 +342,8 @@ def find_delimiter(lines: Sequence[str]) -> str | None:
             continue
         modal = widths.most_common(1)[0][0]
         score = sum(share for width, share in found if width == modal) + 1e-6 * len(found)
+        if mark == "," and any(" " in cell for line in sample for cell in split(line, mark)):
+            score *= 0.99  # "380,5 123,4" is two numbers with decimal commas rather than 380, 5 123 and 4
         if score > 1.0001 * best:
             best, chosen = score, mark
     return chosen
@@ -424,12 +439,18 @@ def _classified(raw: Sequence[str], delimiter: str | None, knows: Callable[[str,
 
 
 def _demote_key_values(found: Sequence[_Line]) -> None:
-    """Take lines such as "Scans: 3" above rows that begin with numbers as text."""
+    """Take lines such as "Scans: 3" above and below rows that begin with numbers as text.
+
+    A single line directly below the rows remains a row, which may be damaged.
+    """
     data = [line for line in found if line.is_data]
     led = [line for line in data if _is_value(line.cells[0])]
     if led and len(led) > 0.5 * len(data):
+        last = led[-1].number
+        below = [line for line in data if line.number > last]
+        are_apart = len(below) > 1 or any(line.number > last + 1 for line in below)
         for line in data:
-            if line.number < led[0].number:
+            if line.number < led[0].number or (line.number > last and are_apart):
                 line.is_data = False
 
 
@@ -574,10 +595,16 @@ def _table(
     if len(keep) < width:
         rows = [[row[i] for i in keep] for row in rows]
         headings, units = [headings[i] for i in keep] if headings else [], [units[i] for i in keep]
+    is_cut = delimiters(data[-1].text, delimiter) < delimiters(data[0].text, delimiter)
     return TextTable(
         path, tuple(headings), tuple(units), rows, [line.number for line in data], titles, delimiter, decimal,
-        grouping, heading_line,
+        grouping, heading_line, is_cut,
     )  # fmt: skip
+
+
+def delimiters(line: str, mark: str | None) -> int:
+    """Return the count of delimiters in a line; for blanks, of words."""
+    return len(line.split()) if mark is None else line.strip().count(mark)
 
 
 def _take_units_of_cells(rows: list[list[str]], units: list[str]) -> None:
@@ -709,6 +736,8 @@ def _heading_cells(
     for place, cells in enumerate(_splits(text, delimiter, width)):
         if len(cells) < 2 and width > 1:
             continue
+        if any(_without_brackets(c) != c and parse_unit(_without_brackets(c)) is not None for c in cells):
+            continue  # "(nm)" apart from its word
         known = sum(knows(c, units[i] if i < len(units) else "") for i, c in enumerate(cells) if c)
         fits = len(cells) == width
         if not fits and (known < min(2, width) or known < len(cells)):

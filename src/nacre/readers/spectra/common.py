@@ -12,16 +12,13 @@ from numpy.typing import ArrayLike
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
-from nacre.readers.text_table import is_japanese
+from nacre.readers.text_table import LINE_END, delimiters, find_delimiter, load_text, number, split
 
 MAX_TEXT_BYTES = 256 << 20
 MAX_METADATA = 40
 VISIBLE_NM = (400.0, 700.0)
 QUANTITIES = ("reflectance", "transmittance", "absorptance", "absorbance", "counts", "irradiance")
 SCALED = ("reflectance (%)", "reflectance (1)", *QUANTITIES[1:])  # where the scale is not stated either
-_LINE_END = re.compile(r"\r\n|\r|\n")
-_NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][-+]?\d+)?")
-_NAN = ("nan", "-nan", "nan(ind)", "inf", "-inf", "#n/a", "na", "n/a", "--", "1.#qnan", "-1.#ind", "1.#inf")
 
 # the first pattern that a label in lower case contains decides
 _QUANTITIES: tuple[tuple[str, re.Pattern[str]], ...] = tuple(
@@ -105,80 +102,13 @@ class Notes:
 
 
 def read_lines(path: Path) -> list[str]:
-    """Return the lines of a text file in UTF-8, UTF-16, Shift-JIS (JASCO) or Windows-1252; NUL characters are dropped.
-
-    Raises:
-        NacreError: larger than 256 MiB.
-    """
-    data = path.read_bytes()
-    if len(data) > MAX_TEXT_BYTES:
-        raise NacreError(f"{path}: is larger than {MAX_TEXT_BYTES >> 20} MiB")
-    return lines_of(data)
-
-
-def lines_of(data: bytes) -> list[str]:
-    """Return a text's lines; see `read_lines`."""
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        text = data.decode("utf-16", errors="replace")
-    else:
-        data = data.replace(b"\0", b"")
-        try:
-            text = data.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = data.decode("cp932" if b"JASCO" in data[:2000] or is_japanese(data) else "cp1252", errors="replace")
-    return _LINE_END.split(text)
-
-
-def number(cell: str, comma: bool = False) -> float | None:
-    """Return the number in a cell, NaN for a word of a missing value, or None.
-
-    Args:
-        comma: whether a comma is the decimal point.
-    """
-    cell = cell.strip()
-    try:
-        return float(cell)
-    except ValueError:
-        pass
-    if comma and "," in cell and "." not in cell:
-        cell = cell.replace(",", ".")
-    if _NUMBER.fullmatch(cell):
-        try:
-            return float(cell.replace("D", "E").replace("d", "e"))
-        except ValueError:
-            return None
-    return float("nan") if cell.lower() in _NAN else None
-
-
-def delimiter(line: str) -> str | None:
-    """Return the delimiter of a line of numbers; None means blanks."""
-    for mark in (";", "\t"):
-        if mark in line.strip():
-            return mark
-    if "," not in line:
-        return None
-    # blanks between numbers with decimal commas
-    if re.fullmatch(r"\s*[-+]?\d+(?:,\d+)?(?:[eE][-+]?\d+)?(?:\s+[-+]?\d+(?:,\d+)?(?:[eE][-+]?\d+)?)+\s*", line):
-        return None
-    return ","
-
-
-def cells(line: str, mark: str | None) -> list[str]:
-    """Return the cells of a line without quotes; empty cells at the end are dropped."""
-    if '"' in line and mark == ",":
-        found = [cell.strip().strip('"') for cell in re.findall(r'\s*("(?:[^"]|"")*"|[^,]*)\s*(?:,|$)', line)]
-    else:
-        found = [cell.strip().strip('"').strip() for cell in line.split(mark)]
-    while found and not found[-1]:
-        found.pop()
-    return found
+    """Return the lines of a text file; see `text_table.load_text`."""
+    return LINE_END.split(load_text(path, MAX_TEXT_BYTES))
 
 
 def numeric_row(line: str, mark: str | None) -> list[float] | None:
     """Return the numbers of a line (empty cells are NaN), or None if a cell is not a number or the line is empty."""
-    found = cells(line, mark)
-    comma = mark != "," or '"' in line
-    values = [float("nan") if not cell else number(cell, comma) for cell in found]
+    values = [number(cell) for cell in split(line, mark)]
     if not values or any(value is None for value in values) or not any(value == value for value in values):
         return None
     return [value for value in values if value is not None]
@@ -197,16 +127,17 @@ def blocks(lines: Sequence[str], least_rows: int = 2, least_columns: int = 1) ->
             width = max(set(counts), key=lambda count: (counts.count(count), count)) if counts else 0
             wide = [row[:width] + [float("nan")] * (width - len(row)) for row in rows]
             if width >= least_columns:
-                is_cut = _delimiters(lines[stop - 1], mark) < _delimiters(lines[start], mark)
+                is_cut = delimiters(lines[stop - 1], mark) < delimiters(lines[start], mark)
                 found.append(Block(start, stop, np.array(wide), sum(count < width for count in counts), is_cut))
         rows.clear()
 
     for place, line in enumerate(lines):
         if not line.strip():
             continue
-        if not rows:
-            mark = delimiter(line)
-        row = numeric_row(line, mark) if line.lstrip()[:1] in '-+.,0123456789"nN' else None
+        is_number = line.lstrip()[:1] in '-+.,0123456789"nN'
+        if is_number and not rows:
+            mark = find_delimiter([line])
+        row = numeric_row(line, mark) if is_number else None
         if row is None:
             finish()
             continue
@@ -240,10 +171,6 @@ def first_block(path: Path, lines: Sequence[str]) -> Block:
         raise NacreError(f"{path}: has no rows of two numbers")
     complete(path, found[0])
     return found[0]
-
-
-def _delimiters(line: str, mark: str | None) -> int:
-    return len(line.split()) if mark is None else line.strip().count(mark)
 
 
 def key_values(lines: Sequence[str], marks: str = ":=\t") -> dict[str, str]:
@@ -304,11 +231,6 @@ _Y_KEY = re.compile(
 
 def _key(text: str) -> str:
     return re.sub(r"[^a-z0-9]", "", text.lower())
-
-
-def is_axis_key(cell: str) -> bool:
-    """Whether a cell begins a line of the preamble, such as "AxisUnit[0]=" or "YUnits", not a line of headings."""
-    return cell[-1:] in ("=", ":") or bool(_X_KEY.fullmatch(_key(cell)) or _Y_KEY.fullmatch(_key(cell)))
 
 
 def stated_axes(lines: Sequence[str]) -> tuple[str | None, str]:

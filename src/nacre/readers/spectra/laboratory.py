@@ -14,6 +14,7 @@ from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptio
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Label, Notes
+from nacre.readers.text_table import find_delimiter, number
 
 # Bruker OPUS binary files: a directory of blocks, with parameters and evenly spaced values.
 
@@ -79,8 +80,8 @@ def _directory(path: Path, data: bytes) -> list[tuple[BlockType, bytes]]:
     """Return the blocks with their types. The head holds, from byte 12: offset, capacity and number of entries."""
     start, capacity, count = struct.unpack_from("<3i", data, 12)
     found: list[tuple[BlockType, bytes]] = []
-    for number in range(min(count, capacity)):
-        code, size, offset = struct.unpack_from("<3I", data, start + 12 * number)
+    for index in range(min(count, capacity)):
+        code, size, offset = struct.unpack_from("<3I", data, start + 12 * index)
         if offset == 0:
             continue
         if offset + 4 * size > len(data):
@@ -122,7 +123,7 @@ def sniff_bruker_dpt(head: FileHead) -> float:
     """Return 0.6 for two columns without a heading in a file `.dpt`."""
     if head.path.suffix.lower() != ".dpt" or not head.is_text:
         return 0.0
-    rows = [common.numeric_row(line, common.delimiter(line)) for line in head.lines[:20] if line.strip()]
+    rows = [common.numeric_row(line, find_delimiter([line])) for line in head.lines[:20] if line.strip()]
     return LIKELY if rows and all(row is not None and len(row) == 2 for row in rows) else 0.0
 
 
@@ -483,7 +484,7 @@ def read_woollam_intensity(path: Path, options: ReadOptions) -> list[Measurement
             continue
         if not _ROW.match(line):
             raise NacreError(f'{path}: "{line.strip()[:40]}" is no row of reflected or transmitted intensity')
-        values = [common.number(word) for word in words[1:5]]
+        values = [number(word) for word in words[1:5]]
         if len(values) < 3 or any(value is None for value in values):
             raise NacreError(f'{path}: "{line.strip()[:60]}" lacks numbers; the file is cut or damaged')
         row = [value for value in values if value is not None]

@@ -18,6 +18,7 @@ from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptio
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead, head_of
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Label, Notes
+from nacre.readers.text_table import number
 
 # USGS spectral library 7 (splib07, Kokaly et al. 2017, USGS Data Series 1035): ASCII files of one column.
 #
@@ -116,7 +117,7 @@ def _page(path: Path) -> Page:
     for place, line in enumerate(lines[1:], start=2):
         if not line.strip():
             continue
-        value = common.number(line)
+        value = number(line)
         if value is None:
             raise NacreError(f'{path}: line {place} holds "{line.strip()[:40]}" where one number should stand')
         values.append(value)
@@ -381,7 +382,7 @@ def _metadata(block: Block) -> dict[str, str]:
 
 def _number(block: Block, key: str) -> float | None:
     text = block.records.get(key)
-    return None if text is None or not text.split() else common.number(text.split()[0], comma=True)
+    return None if text is None or not text.split() else number(text.split()[0])
 
 
 def _xy(path: Path, block: Block) -> tuple[Array, Array]:
@@ -423,7 +424,7 @@ def _check_abscissa(path: Path, lines: list[str], x: Array, factor: float) -> No
         NacreError: points are missing, or LASTX is that of another spectrum.
     """
     rows = [line for line in lines if line.strip()]
-    stated = common.number(_TOKEN.findall(rows[-1])[0]) if len(rows) > 1 else None
+    stated = number(_TOKEN.findall(rows[-1])[0]) if len(rows) > 1 else None
     if stated is None:
         return
     expected = x[min(len(_ordinates(path, rows[:-1])), len(x) - 1)]
@@ -443,7 +444,7 @@ def _pairs(path: Path, lines: list[str], comma: bool) -> Array:
     rows: list[list[float]] = []
     for line in filter(str.strip, lines):
         words = re.split(r",\s+|[;\s]+" if comma else r"[,;\s]+", line.strip().strip(";,"))
-        values = [value for word in words if word and (value := common.number(word, comma)) is not None]
+        values = [value for word in words if word and (value := number(word)) is not None]
         if len(values) % 2 or len(values) < len([word for word in words if word]):
             raise NacreError(f'{path}: "{line.strip()[:60]}" holds no pairs of numbers')
         rows += [values[at : at + 2] for at in range(0, len(values), 2)]
@@ -459,7 +460,7 @@ def _ordinates(path: Path, lines: list[str]) -> list[float]:
     values: list[float] = []
     check = False  # whether the first ordinate of the next line repeats the last of this one
     rows = [line for line in lines if line.strip()]
-    for number, line in enumerate(rows, start=1):
+    for place, line in enumerate(rows, start=1):
         tokens = _TOKEN.findall(line)
         if re.sub(r"[\s,;]", "", line) != "".join(tokens):
             raise NacreError(f'{path}: "{line.strip()[:60]}" is not in a form of JCAMP-DX')
@@ -480,7 +481,7 @@ def _ordinates(path: Path, lines: list[str]) -> list[float]:
             value = float("nan") if token == "?" else float(_SQZ[lead] + token[1:] if lead in _SQZ else token)
             if is_first and check:
                 # some programs end the table with a line of one zero in place of the check value
-                is_end = number == len(rows) and len(tokens) == 2 and value == 0.0
+                is_end = place == len(rows) and len(tokens) == 2 and value == 0.0
                 if values[-1] != value and not is_end:
                     raise NacreError(f"{path}: a check value of its differences is {value:g}, not {values[-1]:g}")
             else:
@@ -550,11 +551,11 @@ def read_grams_spc(path: Path, options: ReadOptions) -> list[Measurement]:
         unit = common.unit_named(head.labels[0])
     notes = Notes()
     spectra = []
-    for number, (x, y) in enumerate(_tables(path, data, head), start=1):
+    for count, (x, y) in enumerate(_tables(path, data, head), start=1):
         own = Notes(list(notes.assumed))
         found = unit or common.assumed_unit(path, x, own, options)
         label = common.option_label(path, options) or _spc_label(path, head)
-        name = head.comment if head.spectra == 1 else str(number)
+        name = head.comment if head.spectra == 1 else str(count)
         spectra.append(
             common.spectrum(
                 path, x, y, label, options, unit=found, name=name, metadata={"comment": head.comment}, notes=own

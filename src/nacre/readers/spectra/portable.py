@@ -15,6 +15,7 @@ from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptio
 from nacre.readers.registry import CERTAIN, FileHead
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Label, Notes
+from nacre.readers.text_table import find_delimiter, number
 
 # ASD FieldSpec: ViewSpec text; the binary files are refused by name.
 
@@ -359,13 +360,13 @@ def read_avantes_binary(path: Path, options: ReadOptions) -> list[Measurement]:
 def _version_8(path: Path, data: bytes, options: ReadOptions) -> list[Measurement]:
     found = []
     at = 6
-    for number in range(data[5]):
+    for index in range(data[5]):
         _, mode, _, _, serial, own, _, first, last, milliseconds = _HEAD_8.unpack_from(data, at + 4)
         (averages,) = struct.unpack_from("<I", data, at + 4 + _HEAD_8.size + 4)
         count = last - first + 1
         start = at + 4 + _HEAD_8.size + _REST_8
         if count < 2 or start + 16 * count > len(data):
-            raise NacreError(f"{path}: spectrum {number + 1} has {count} pixels, more than the file holds; it is cut")
+            raise NacreError(f"{path}: spectrum {index + 1} has {count} pixels, more than the file holds; it is cut")
         nm, sample, dark, reference = np.frombuffer(data, "<f4", 4 * count, start).reshape(4, count).astype(float)
         if not (np.all(np.diff(nm) > 0) and nm[0] > 100 and nm[-1] < 5000):
             raise NacreError(f"{path}: the layout of {data[:5].decode()} in this file is not known; export text")
@@ -487,7 +488,7 @@ def sniff_ocean_text(head: FileHead) -> float:
     for place, line in enumerate(head.lines):
         if _MARK.match(line.strip()):
             after = [text for text in head.lines[place + 1 : place + 6] if text.strip()]
-            return CERTAIN if any(common.numeric_row(text, common.delimiter(text)) for text in after) else 0.0
+            return CERTAIN if any(common.numeric_row(text, find_delimiter([text])) for text in after) else 0.0
     return 0.0
 
 
@@ -675,8 +676,8 @@ def read_qtx(path: Path, options: ReadOptions) -> list[Measurement]:
         key = next((key for key in ("R", "T") if key in section), None)
         if key is None:
             raise AmbiguousFileError(f'{path}: "{name}" lacks R or T, a spectrum in per cent', "spectrum")
-        values = [common.number(cell) for cell in re.split(r"[,;\s]+", section[key]) if cell]
-        start, step = (common.number(section.get(word, "")) for word in ("REFLLOW", "REFLINTERVAL"))
+        values = [number(cell) for cell in re.split(r"[,;\s]+", section[key]) if cell]
+        start, step = (number(section.get(word, "")) for word in ("REFLLOW", "REFLINTERVAL"))
         if start is None or not step or None in values:
             raise NacreError(f'{path}: "{name}" lacks REFLLOW or REFLINTERVAL, or {key} holds text')
         common.check_count(path, section.get("REFLPOINTS"), len(values), f'"{name}"')

@@ -9,25 +9,25 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.readers.columns import interpret
+from nacre.readers.columns import interpret, load_tables, tables_of
 from nacre.readers.headings import SPECTRAL_QUANTITIES, degrees, meanings, read_preamble, with_preamble
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import FileHead
 from nacre.readers.spectra import common
-from nacre.readers.spectra.common import Block, Label, Notes
-from nacre.readers.text_table import TextTable
+from nacre.readers.spectra.common import Label, Notes
+from nacre.readers.text_table import LINE_END, TableFile, TextTable, decode, find_delimiter, number, split
 
 HEADED, WIDE, PLAIN = 0.5, 0.4, 0.3
 OTHERS = ("n", "k", "eps1", "eps2", "alpha", "psi", "delta", "tan_psi", "cos_delta", "angle_of_incidence",
           "polarisation", "polariser", "theta_i", "theta_o", "radius", "thickness")  # fmt: skip
 COLOUR_WORDS = ("sr", "sg", "sb")  # "red" heads a column of RGB as well as a sample
+LEAST_ROWS = 3
 MIN_NM, MAX_NM = 150.0, 30000.0
 _WAVELENGTH = re.compile(
     r"^(wave ?length|wavelengths|wave|wl|wvl|lambda|λ|longueur d'onde|wellenl[äa]nge|longitud de onda|波長|"
     r"wave ?numbers?)\b|^\[?nm\b",
     re.IGNORECASE,
 )
-_UNIT = re.compile(r"[\[(]?\s*(nm|[uµμ]m|cm-1|1/cm|eV|%|1|-|a\.?u\.?|counts|)\s*[\])]?", re.IGNORECASE)
 _PIXEL = re.compile(r"^(pixel|index|point|no\.?|#|id)$", re.IGNORECASE)
 _NUMBER_HEADING = re.compile(r"^\D{0,12}?(\d{3,4}(?:\.\d+)?)\s*(?:nm)?$", re.IGNORECASE)
 _RAW = {"dark", "i0", "background", "baseline", "dunkel", "dunkelspektrum", "noir"}
@@ -43,33 +43,39 @@ def sniff(head: FileHead) -> float:
     """Return 0.5 for headings of spectral quantities, 0.4 for many spectra, 0.3 for two or three bare columns."""
     if not head.is_text or head.text.lstrip()[:1] in ("<", "{"):
         return 0.0
-    lines = common.lines_of(head.data)
+    text = decode(head.data)
     if head.size > len(head.data):
-        lines = lines[:-1]
-    found = [block for block in common.blocks(lines, least_columns=2) if len(block.table) >= 3]
-    if not found:
-        return WIDE if _across(lines) is not None else 0.0
-    if len(found) > 1 and len(found[1].table) > 0.5 * len(found[0].table):
+        text = text[: max(text.rfind("\n"), text.rfind("\r")) + 1]
+    across = _across(LINE_END.split(text))
+    try:
+        found = _of_spectra(tables_of(text, head.path))
+    except NacreError:
+        found = []
+    if not found or across is not None:
+        return 0.0 if across is None else WIDE
+    if len(found) > 1 and len(found[1].rows) > 0.5 * len(found[0].rows):
         return 0.0
-    return _confidence(lines, found[0])
+    return _confidence(found[0])
 
 
-def _confidence(lines: Sequence[str], block: Block) -> float:
-    names = _headings(lines, block)
-    x = block.table[:, 0]
+def _of_spectra(file: TableFile) -> list[TextTable]:
+    """Return the tables of at least two columns and three rows."""
+    return [table for table in file.tables if table.width > 1 and len(table.rows) >= LEAST_ROWS]
+
+
+def _confidence(table: TextTable) -> float:
+    names = _headings(table)
     if not names:
-        return PLAIN if _is_axis(x) and _plain_columns(block.table) is not None else 0.0
-    if _across(lines) is not None:
-        return WIDE
-    place = 0 if not names[0] and _is_axis(x) else _axis(names)
-    if place is None or place >= block.table.shape[1] or any(_is_other(name) for name in names):
+        numbers = _numbers(table)
+        return PLAIN if _is_axis(numbers[:, 0]) and _plain_columns(numbers) is not None else 0.0
+    place = 0 if not names[0] and _is_axis(table.column(0)) else _axis(names)
+    if place is None or any(_is_other(name) for name in names):
         return 0.0
     if any(meaning.polarisation or meaning.angle_deg for name in names for meaning in meanings(name)):
         return 0.0  # the table of the vocabulary reads angles and polarisations
-    labels = [common.label_of(name) for name in names[place + 1 :] if name]
-    if any(label is not None for label in labels):
+    if any(common.label_of(name) is not None for name in names[place + 1 :] if name):
         return HEADED
-    return WIDE if block.table.shape[1] > 1 and _is_axis(block.table[:, place]) else 0.0
+    return WIDE if _is_axis(table.column(place)) else 0.0
 
 
 def _is_other(heading: str) -> bool:
@@ -86,32 +92,34 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         AmbiguousFileError: unit or quantity is not stated, and range and size do not decide.
     """
-    lines = common.read_lines(path)
-    across = _across(lines)
+    across = _across(common.read_lines(path))
     if across is not None:
         return common.choose(path, _read_across(path, across, options), options)
-    found = [block for block in common.blocks(lines, least_columns=2) if len(block.table) >= 3]
+    file = load_tables(path)
+    found = _of_spectra(file)
     if not found:
         raise NacreError(f"{path}: has no table of a spectrum")
-    block = found[0]
-    notes = Notes()
-    if any(line.strip() for line in lines[block.stop :]):
+    table = found[0]
+    notes = Notes(left_out=list(file.left_out))
+    if file.trailing or table is not file.tables[-1]:
         notes.left_out.append("the text below the table")
-    names = _headings(lines, block)
-    metadata = common.key_values(lines[: block.start], ":=")
-    technique = next((line.split(",")[1] for line in lines[: block.start] if line.startswith("Technique,")), "")
+    names = _headings(table)
+    metadata = common.key_values(table.titles, ":=")
+    technique = next((line.split(",")[1] for line in table.titles if line.startswith("Technique,")), "")
     if technique.strip():
         metadata["Technique"] = technique.strip()
-    axis_unit, ordinate = common.stated_axes([*lines[: block.start], *lines[block.stop :]])
-    if not names:
-        return [_plain(path, common.complete(path, block), options, notes, axis_unit, ordinate)]
+    axis_unit, ordinate = common.stated_axes([*table.titles, *file.trailing])
     axes = [place for place, name in enumerate(names) if _WAVELENGTH.search(name)]
     pairs = [place for place in axes if place + 1 not in axes]
     if len(pairs) > 1:
-        found_spectra = _pairs(path, lines, block, names, pairs, options, notes)
+        found_spectra = _pairs(table, names, pairs, options, notes)
+    elif table.is_cut:
+        raise NacreError(f"{path}: its last row has fewer cells than the others; the file is cut")
+    elif not names:
+        return [_plain(path, _numbers(table), options, notes, axis_unit, ordinate)]
     else:
-        found_spectra = _columns(path, common.complete(path, block), names, metadata, options, notes, ordinate)
-    above = read_preamble(lines[: block.start])
+        found_spectra = _columns(path, _numbers(table), names, metadata, options, notes, ordinate)
+    above = read_preamble(table.titles)
     if options.angle_deg is not None:  # the user's statement precedes
         above = replace(above, angle_deg=None)
     return common.choose(path, [with_preamble(each, above) for each in found_spectra], options)
@@ -164,7 +172,7 @@ def of_samples(table: TextTable, options: ReadOptions) -> list[Measurement] | No
         table.path, nm, [(table.headings[place], one) for place, one in zip(samples, values)], stated, notes
     )
     found = [
-        _one(table.path, nm, one, "nm", own, table.headings[place], {}, replace(stated, quantity=None),
+        _one(table.path, nm, one, "nm", own, table.headings[place], {}, stated,
              Notes(list(notes.assumed), list(notes.left_out)))
         for place, one, own in zip(samples, values, labels, strict=True)
     ]  # fmt: skip
@@ -187,31 +195,14 @@ def _is_quantity(table: TextTable, place: int) -> bool:
     )
 
 
-def _headings(lines: Sequence[str], block: Block) -> list[str]:
-    """Return the headings: the nearest line above with as many words as columns, or that names a wavelength."""
-    width = block.table.shape[1]
-    mark = common.delimiter(lines[block.start])
-    above = [line for line in lines[max(0, block.start - 4) : block.start] if line.strip()]
-    if len(above) > 1:  # a row of bare units below the names
-        names, units = (common.cells(line, mark) for line in above[-2:])
-        is_pair = len(names) == len(units) > 1 and all(_UNIT.fullmatch(cell.strip()) for cell in units)
-        if is_pair and any(common.label_of(name) for name in names):
-            return [f"{name.strip()} [{unit.strip(' []()')}]" for name, unit in zip(names, units, strict=True)]
-    for line in reversed(above):
-        for delimiter in dict.fromkeys((mark, ";", "\t", ",")):
-            cells = common.cells(line, delimiter)
-            if (
-                len(cells) > 1
-                and (not common.is_axis_key(cells[0]) or _are_headings(cells))
-                and (_axis(cells) is not None or abs(len(cells) - width) <= 1)
-                and len(cells) <= width + 1
-            ):
-                is_units = all(re.fullmatch(r"\s*[\[(].*[\])]\s*", cell) for cell in cells if cell.strip())
-                is_title = width == 2 and not any(common.label_of(cell) for cell in cells)
-                if _axis(cells) is None and (is_units or is_title):
-                    continue
-                return [cell.strip() for cell in cells]
-    return []
+def _headings(table: TextTable) -> list[str]:
+    """Return the headings with the units of a row below them."""
+    return [f"{name} [{unit}]" if unit else name for name, unit in zip(table.headings, table.units)]
+
+
+def _numbers(table: TextTable) -> Array:
+    """Return the numbers `[row, column]`."""
+    return np.stack([table.column(place, may_overflow=True) for place in range(table.width)], axis=1)
 
 
 def _axis(names: Sequence[str]) -> int | None:
@@ -225,11 +216,6 @@ def _is_axis(x: Array) -> bool:
         return False
     steps = np.diff(finite)
     return bool((np.all(steps > 0) or np.all(steps < 0)) and finite.min() >= MIN_NM and finite.max() <= MAX_NM)
-
-
-def _are_headings(cells: Sequence[str]) -> bool:
-    """Whether "Wavelength:" begins a line of headings: a quantity follows, not a unit or a mode alone."""
-    return bool(_WAVELENGTH.match(cells[0])) and any(common.label_of(cell.rstrip(" :")) for cell in cells[1:])
 
 
 def _plain_columns(table: Array) -> tuple[Array, Array | None] | None:
@@ -267,28 +253,19 @@ def _plain(
 
 
 def _pairs(
-    path: Path,
-    lines: Sequence[str],
-    block: Block,
-    names: list[str],
-    pairs: list[int],
-    options: ReadOptions,
-    notes: Notes,
+    table: TextTable, names: list[str], pairs: list[int], options: ReadOptions, notes: Notes
 ) -> list[Measurement]:
     """Return the spectra of pairs of columns, which may have unlike lengths."""
-    mark = common.delimiter(lines[block.start]) or ","
-    above = [line for line in lines[: block.start] if line.strip()]
-    titles = common.cells(above[-2], mark) if len(above) > 1 else []
-    titles = [title.strip() for title in titles] + [""] * len(names)
+    titles = [*(split(table.titles[-1], table.delimiter) if table.titles else []), *[""] * len(names)]
     found = []
     for place in pairs:
-        if place + 1 >= block.table.shape[1]:
+        if place + 1 >= table.width:
             continue
-        rows = np.isfinite(block.table[:, place])
-        x, y = block.table[rows, place], block.table[rows, place + 1]
+        x, y = (table.column(column, may_overflow=True) for column in (place, place + 1))
+        x, y = x[np.isfinite(x)], y[np.isfinite(x)]
         own = Notes(list(notes.assumed), list(notes.left_out))
-        label = _labels(path, x, [(names[place + 1], y)], options, own)[0]
-        found.append(_one(path, x, y, names[place], label, titles[place], {}, options, own))
+        label = _labels(table.path, x, [(names[place + 1], y)], options, own)[0]
+        found.append(_one(table.path, x, y, names[place], label, titles[place], {}, options, own))
     return found
 
 
@@ -443,6 +420,7 @@ def _one(
     unit = common.option_unit(path, options) or common.unit_named(x_name)
     if unit is None or (unit == "nm" and "nm" not in x_name.lower() and "nanomet" not in x_name.lower()):
         unit = common.assumed_unit(path, x, notes, options, x_name)
+    options = replace(options, quantity=None)  # `label` has its scale, which all columns share
     return common.spectrum(
         path, x, y, label, options, unit=unit, name=title, metadata=metadata, notes=notes, error=error
     )
@@ -451,8 +429,8 @@ def _one(
 def _across(lines: Sequence[str]) -> tuple[list[str], list[int], Array, list[list[str]]] | None:
     """Return headings, columns of wavelengths, the wavelengths and the rows of a table with wavelengths across."""
     for start, line in enumerate(lines[:40]):
-        mark = common.delimiter(line)
-        names = common.cells(line, mark)
+        mark = find_delimiter([line])
+        names = split(line, mark)
         if len(names) < 8:
             continue
         matches = [(place, match) for place, name in enumerate(names) if (match := _NUMBER_HEADING.match(name.strip()))]
@@ -460,12 +438,12 @@ def _across(lines: Sequence[str]) -> tuple[list[str], list[int], Array, list[lis
         if len(matches) < 8 or len(matches) < 0.6 * len(names) or not _is_axis(grid):
             continue
         columns = [place for place, _ in matches]
-        below = [common.cells(text, mark) for text in lines[start + 1 :] if text.strip()]
+        below = [split(text, mark) for text in lines[start + 1 :] if text.strip()]
         rows = [row for row in below if len(row) > columns[-1]]
-        first = np.array([common.number(row[0], comma=mark != ",") or np.nan for row in rows])
+        first = np.array([number(row[0]) or np.nan for row in rows])
         if columns[0] == 1 and _WAVELENGTH.search(names[0].strip()) and _is_axis(first):
             continue  # wavelengths down; the headings, such as "1200 nm", name lamps or thicknesses
-        has_text = any(common.number(name, comma=mark != ",") is None for name in names)
+        has_text = any(number(name) is None for name in names)
         if rows and len(rows) == len(below) and (has_text or len(rows) < 3):
             return names, columns, grid, rows
     return None
@@ -476,10 +454,10 @@ def _read_across(
 ) -> list[Measurement]:
     """Return one spectrum per row; cells before the wavelengths are its name and metadata."""
     names, columns, grid, rows = across
-    cells = [[common.number(row[place], comma=True) for place in columns] for row in rows]
-    for number, values in enumerate(cells, start=1):
+    cells = [[number(row[place]) for place in columns] for row in rows]
+    for count, values in enumerate(cells, start=1):
         if any(value is None for value in values):
-            raise NacreError(f"{path}: row {number} holds a word where a value of the spectrum should stand")
+            raise NacreError(f"{path}: row {count} holds a word where a value of the spectrum should stand")
     table = np.array(cells, dtype=float)
     notes = Notes()
     outside = [place for place, name in enumerate(names) if place not in columns and name]
@@ -488,13 +466,14 @@ def _read_across(
     words = [" ".join(word for word in own if _is_ratio(word)) for own in all_words]
     labels = _labels(path, grid, list(zip(words, table, strict=True)), options, notes)
     unit = common.assumed_unit(path, grid, notes, options)
+    options = replace(options, quantity=None)
     found = []
-    for number, (row, values, label) in enumerate(zip(rows, table, labels, strict=True)):
-        title = next((cell for place, cell in enumerate(row) if place not in columns and cell), str(number + 1))
+    for count, (row, values, label) in enumerate(zip(rows, table, labels, strict=True)):
+        title = next((cell for place, cell in enumerate(row) if place not in columns and cell), str(count + 1))
         own_notes = Notes(list(notes.assumed), list(notes.left_out))
         found.append(
             common.spectrum(
-                path, grid, values, label, options, unit=unit, name=title, metadata=others[number],
+                path, grid, values, label, options, unit=unit, name=title, metadata=others[count],
                 notes=own_notes
             )
         )  # fmt: skip
