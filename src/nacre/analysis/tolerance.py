@@ -14,6 +14,7 @@ from nacre.analysis.ties import tied_maker, with_ties
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.jobs import START_WORKERS_S, Workers, run_jobs
+from nacre.families.contract import Diffracting
 from nacre.light import delta_e_2000
 from nacre.material.material import Material, MaterialLike, as_material
 from nacre.measure.colours import geometry_colours, recipe_geometries
@@ -301,15 +302,23 @@ class ColourProbe:
             self.geometry, self.labels, self._at = "geometries", tuple(geometries), list(geometries.values())
             self.angles_deg = tuple(at.view_deg if at.kind == "aspecular" else at.theta_deg for at in self._at)
             return
-        wi = np.broadcast_to(direction(np.radians(LIGHT_DEG)), (1, 3))
-        few = material.values_at(wi, wi, np.array([550.0]))  # cheap for materials that scatter
-        scatters = few is not None or any(not lobe.is_delta for lobe in material.bsdf().lobes)
+        scatters = self._scatters(material)
         self.geometry = "aspecular, 45 degree incidence" if scatters else "mirror direction"
         self.angles_deg = tuple(ASPECULAR_DEG if scatters else SPECULAR_ANGLES_DEG)
         self._at = [
             Geometry("aspecular", LIGHT_DEG, a) if scatters else Geometry("specular", a) for a in self.angles_deg
         ]
         self.labels = tuple(map(str, self._at))
+
+    def _scatters(self, material: Material) -> bool:
+        model = material.model
+        if isinstance(model, Diffracting):  # their orders may all miss the geometries
+            at = [Geometry("aspecular", LIGHT_DEG, angle) for angle in ASPECULAR_DEG]
+            is_lit = model.scatters_orders(model.wavelengths_nm)
+            return is_lit and bool(np.any(geometry_colours(material, at, *self._options)[:, 0] > 0.0))
+        wi = np.broadcast_to(direction(np.radians(LIGHT_DEG)), (1, 3))
+        few = material.values_at(wi, wi, np.array([550.0]))  # cheap for materials that scatter
+        return few is not None or any(not lobe.is_delta for lobe in material.bsdf().lobes)
 
     def __call__(self, material: Material) -> Array:
         """Return CIELAB, `[geometry, 3]`."""

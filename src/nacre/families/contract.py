@@ -194,6 +194,11 @@ class DirectEvaluation(abc.ABC):
 
     is_direct: ClassVar[bool] = True
 
+    @property
+    def line_nm(self) -> float:
+        """Standard deviation of the narrowest line over wavelength at fixed directions; infinite if there is none."""
+        return np.inf
+
     @abc.abstractmethod
     def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
         """Evaluate `bsdf` at direction pairs `[pair, 3]`, without delta lobes; return `[pair, wavelength]`.

@@ -14,8 +14,9 @@ from nacre.bsdf.bsdf import Bsdf, Spectrum
 from nacre.bsdf.lobes.interface import Microfacet
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
+from nacre.families.contract import DirectEvaluation
 from nacre.light import lamp_lines_nm, spectrum_to_xyz, white_xyz, with_lamp_lines, xyz_to_lab
-from nacre.measure.evaluate import evaluate_for_colours, evaluate_with_error
+from nacre.measure.evaluate import evaluate_for_colours, evaluate_with_error, line_wavelengths
 from nacre.measure.geometry import Geometry, aspecular_pairs, named_geometries, spectrum_at
 
 WALK_NM = np.linspace(380.0, 780.0, 26)  # 16 nm; 20 nm causes errors up to 0.9 dE00
@@ -103,7 +104,10 @@ def colour_values(
 
     A family with direct evaluation does not solve the whole Bsdf.
     """
-    few: tuple[Array, Array] | None = material.values_at(wi, wo, colour_grid(material, illuminant))
+    grid = colour_grid(material, illuminant)
+    if isinstance(material.model, DirectEvaluation) and np.isfinite(line_nm := material.model.line_nm):
+        grid = line_wavelengths(material.model.wavelengths_nm if grid is None else grid, line_nm)
+    few: tuple[Array, Array] | None = material.values_at(wi, wo, grid)
     if few is not None:
         return few
     bsdf = colour_bsdf(material, illuminant, coarse=False)

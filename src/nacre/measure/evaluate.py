@@ -90,19 +90,26 @@ def evaluate_for_colours(
     own = np.asarray(bsdf.wavelengths_nm)
     orders = [(lobe, share) for lobe, share in (unmasked(each, None, (1,)) for each in bsdf.lobes)
               if isinstance(lobe, OrdersLobe)]  # fmt: skip
-    step = max(0.5 * min((lobe.line_nm for lobe, _ in orders), default=np.inf), LEAST_STEP_NM)
-    counts = np.ceil(np.diff(own) / step).astype(int)
-    if not orders or counts.max(initial=1) == 1:
+    grid = line_wavelengths(own, min((lobe.line_nm for lobe, _ in orders), default=np.inf))
+    if len(grid) == len(own):
         return *evaluate_with_error(bsdf, wi, wo, samples=samples, seed=seed), own
-    grid = np.interp(np.arange(counts.sum() + 1), np.concatenate([[0], np.cumsum(counts)]), own)
     rest = tuple(each for each in bsdf.lobes if not isinstance(unmasked(each, None, (1,))[0], OrdersLobe))
-    total, error = np.zeros((len(wi), len(grid))), None
+    total = np.zeros((len(wi), len(grid)))
+    error: Array | None = None
     if rest:
         values, error = evaluate_with_error(dataclasses.replace(bsdf, lobes=rest), wi, wo, samples=samples, seed=seed)
         total = values @ spline_matrix(own, grid).T
     for lobe, share in orders:
         total = total + lobe.evaluate_on(grid, wi, wo) * share[..., None]
     return total, error, grid
+
+
+def line_wavelengths(wavelengths_nm: Array, line_nm: float) -> Array:
+    """Return wavelengths with further ones between them, half a standard deviation `line_nm` apart or closer."""
+    counts = np.ceil(np.diff(wavelengths_nm) / max(0.5 * line_nm, LEAST_STEP_NM)).astype(int)
+    if counts.max(initial=1) == 1:
+        return wavelengths_nm
+    return np.interp(np.arange(counts.sum() + 1), np.concatenate([[0], np.cumsum(counts)]), wavelengths_nm)
 
 
 def warn_of_table(bsdf: Bsdf, theta_rad: Array) -> None:

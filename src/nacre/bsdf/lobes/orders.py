@@ -164,6 +164,11 @@ class OrdersLobe(Lobe):
             result[lit] = value * bell[lit] * factor[lit, None]
         return result.reshape(*shape, -1)
 
+    def lines(self, wi: Array, wo: Array) -> tuple[NDArray[np.int64], Array, tuple[Array, Array]]:
+        """Return the nearest order and G, `[pair, wavelength]`, and both directions in the lattice's frame."""
+        wi, wo = self._rotated(wi, None), self._rotated(wo, None)
+        return *self._bells(self.wavelengths_nm, wi, wo, np.ones((len(wi), 1, 1))), (wi, wo)
+
     def _sides(self, wi: Array, wo: Array) -> tuple[Array, Array, Array]:
         """Return the direction above, that of q beside it, and the factor of f, `[pair, 3]` and `[pair]`."""
         if not self.transmits:

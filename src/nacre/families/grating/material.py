@@ -18,12 +18,12 @@ from nacre.bsdf.tabulate import is_transparent
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 from nacre.core.arrays import Array, gauss_legendre, interpolate, rotation_about_z, take_uniform
 from nacre.core.errors import UnsupportedError
-from nacre.families.contract import Diffracting, Fabricable, Pixels, Traits
+from nacre.families.contract import Diffracting, DirectEvaluation, Fabricable, Pixels, Traits
 from nacre.families.grating.profiles import outlines
 from nacre.matter.drawings import CellField, Drawer, DrawingRequest
 from nacre.matter.indices.constant import OpticalConstant
-from nacre.matter.periodic.order_tables import OrderTables, in_common, order_tables
-from nacre.matter.periodic.orders import Orders, coarse_orders, solve_orders
+from nacre.matter.periodic.order_tables import MAX_THETA, OrderTables, in_common, order_tables
+from nacre.matter.periodic.orders import Orders, coarse_orders, solutions_of, solve_orders
 from nacre.matter.periodic.solve import LARGEST_ERROR
 from nacre.matter.periodic.structure import (
     COARSE,
@@ -40,6 +40,8 @@ from nacre.matter.periodic.structure import (
 )
 
 MIRROR_NODES = 129
+LEAST_BELL = 1e-4  # of the peak of an order, below which it is not solved
+MOST_DIRECT = 1000  # solutions, from which a table over all directions is quicker
 NODE_RATIO = 0.12  # of neighbouring nodes of a period, at least
 
 
@@ -98,7 +100,7 @@ class GratingLayer:
 
 
 @dataclass(frozen=True, eq=False)
-class Grating(Diffracting, Pixels, Fabricable):
+class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
     """A periodic structure of layers, or of a profile, on a substrate.
 
     Attributes:
@@ -110,6 +112,7 @@ class Grating(Diffracting, Pixels, Fabricable):
     """
 
     has_mirror = True
+    is_direct = False  # a table over all directions is quicker for many of them
     version = 3  # tables from responses
     traits = Traits(noun="grating", default_parts=("specular_reflectance", "diffuse_reflectance"), takes_ambient=True)
 
@@ -293,6 +296,54 @@ class Grating(Diffracting, Pixels, Fabricable):
             ]
             lobes.append(_diffuse(np.mean(lost, axis=0), lam))
         return Bsdf(tuple(lobes), notes)
+
+    def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
+        """Solve the orders that leave along `wo`, each at its wavelengths.
+
+        None if the material varies over the surface, is disordered or without orders, or for directions below.
+        """
+        disorder = self.spread.period_deviation_nm + self.spread.size_deviation_nm
+        is_uniform = self.period is None and self.turn is None and disorder == 0.0
+        is_above = bool(np.all(wi[:, 2] > 0.0) and np.all(wo[:, 2] > 0.0))
+        if not (is_uniform and is_above and self.scatters_orders(wavelengths_nm)):
+            return None
+        lobe, stacks = self._unsolved(wavelengths_nm), self.stacks(wavelengths_nm)
+        number, bell, directions = lobe.lines(wi, wo)
+        pairs, waves = np.nonzero(bell > LEAST_BELL * bell.max(initial=0.0))
+        lights = np.concatenate([each[pairs] for each in directions])
+        theta = np.minimum(np.arccos(np.clip(lights[:, 2], 0.0, 1.0)), MAX_THETA).tolist()
+        phi = (np.arctan2(lights[:, 1], lights[:, 0]) + np.pi).tolist()
+        cases = list(zip(np.tile(waves, 2).tolist(), theta, phi, strict=True))
+        distinct = list(dict.fromkeys(cases))
+        if len(distinct) > MOST_DIRECT:
+            return None
+        waved = [(stacks[w], float(wavelengths_nm[w]), t, p) for w, t, p in distinct]
+        solved = dict(zip(distinct, solutions_of(waved, self.tolerance, self.is_coarse), strict=True))
+        found = np.zeros(bell.shape)
+        for k, case in enumerate(cases):  # as in `OrdersLobe`, the mean over exchanged directions
+            side, at = solved[case].reflected, (pairs[k % len(pairs)], waves[k % len(pairs)])
+            is_own = np.all(side.numbers == lobe.orders[number[at]], axis=1)
+            found[at] += 0.5 * bell[at] * float(side.efficiency[is_own].mean(axis=1).sum())
+        return found
+
+    @property
+    def line_nm(self) -> float:
+        """Standard deviation in wavelength of the narrowest order at fixed directions."""
+        return self._unsolved(self.wavelengths_nm).line_nm
+
+    def _unsolved(self, lam: Array) -> OrdersLobe:
+        """Return the lobe of reflected orders without their efficiencies."""
+        stacks = self.stacks(lam)
+        numbers = {
+            (int(m), int(n))
+            for stack, w in zip(stacks, lam.tolist(), strict=True)
+            for m, n in propagating(stack, 2.0 * np.pi / w, np.zeros(2), 2.0 * stack.cover)[0]
+        }
+        orders = np.array(sorted(numbers - {(0, 0)}), dtype=np.int64).reshape(-1, 2)
+        lattice = self.cell.wave_vectors(np.eye(2)) / (2.0 * np.pi) / float(np.mean([s.cover for s in stacks]))
+        width = limited_width(self.spread.angle_rad, lattice, float(self.grid_nm[0]))
+        none = np.zeros((2, 2, len(orders), len(lam)), dtype=np.float32)
+        return OrdersLobe(np.asarray(lam), none, lattice, orders, width, self._rotation)
 
     def _cell_of(self, period_nm: float) -> Cell:
         return Cell(period_nm, None if self.cell.period_y is None else period_nm, self.cell.angle_rad)

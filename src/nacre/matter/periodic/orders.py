@@ -115,14 +115,32 @@ def coarse_orders(
     angles, grid = np.atleast_1d(angles_rad).astype(float), np.atleast_1d(wavelengths_nm).astype(float)
     stacks = [stack_at(float(w)) for w in grid]
     cases = [(a, w) for a in range(len(angles)) for w in range(len(grid))]
-    # lines are solved faster in one call
-    size = len(cases) if all(method_of(stack) == "lines" for stack in stacks) else 1
-    parts = [cases[k : k + size] for k in range(0, len(cases), size)]
     phi = azimuth_rad + np.pi
-    found = in_workers(
-        lambda part: solve_many([(stacks[w], float(grid[w]), float(angles[a]), phi) for a, w in part]), parts
-    )
-    return gathered(cases, [each for part in found for each in part], angles, azimuth_rad, grid)
+    waved = [(stacks[w], float(grid[w]), float(angles[a]), phi) for a, w in cases]
+    return gathered(cases, solutions_of(waved, None, True), angles, azimuth_rad, grid)
+
+
+Case = tuple[PeriodicStack, float, float, float]  # wavelength in nm, polar angle and azimuth of the wave vector
+
+
+def solutions_of(cases: list[Case], tolerance: float | None, is_coarse: bool) -> list[OrderSolution]:
+    """Return the solutions of cases, in threads; those that take long are stored.
+
+    Args:
+        is_coarse: at the smallest size and without an estimate of the error, which is infinite.
+    """
+    if not is_coarse:
+        return in_workers(lambda case: cached_solution(*case, tolerance), cases, description=DESCRIPTION)
+    # lines are solved faster in one call
+    size = max(len(cases), 1) if all(method_of(case[0]) == "lines" for case in cases) else 1
+    parts = [cases[k : k + size] for k in range(0, len(cases), size)]
+    return [each for part in in_workers(_coarse, parts, description=DESCRIPTION) for each in part]
+
+
+def _coarse(part: list[Case]) -> list[OrderSolution]:
+    if len(part) > 1:
+        return solve_many(part)
+    return [_stored(case_key(*part[0], "coarse"), lambda: solve_many(part)[0])]
 
 
 def cached_solution(
@@ -130,12 +148,16 @@ def cached_solution(
     is_strict: bool = True,
 ) -> OrderSolution:  # fmt: skip
     """Return `solve` of one case, stored on disk if it takes long."""
-    key = case_key(stack, wavelength_nm, theta_rad, phi_rad, tolerance)
+    case = stack, wavelength_nm, theta_rad, phi_rad, tolerance
+    return _stored(case_key(*case), lambda: solve(*case, is_strict))
+
+
+def _stored(key: str, run: Callable[[], OrderSolution]) -> OrderSolution:
     stored = cached_arrays(key) if key else None
     if stored is not None:
         return _unpacked(stored)
     start = time.perf_counter()
-    solution = solve(stack, wavelength_nm, theta_rad, phi_rad, tolerance, is_strict)
+    solution = run()
     if key and time.perf_counter() - start > MIN_STORED_S:
         cache_arrays(key, _packed(solution))
     return solution
