@@ -267,8 +267,11 @@ def test_a_material_whose_orders_do_not_converge_is_refused_and_a_coarse_table_w
     with monkeypatch.context() as patch:
         patch.setattr("nacre.families.grating.material.LARGEST_ERROR", 1e-9)
         patch.setattr("nacre.matter.periodic.order_tables.responses", None)  # the table is not begun
-        with pytest.raises(NotConvergedError):
+        with pytest.raises(NotConvergedError, match=f"^{made.context.source}: "):
             made.bsdf(lam)
+        patch.setattr("nacre.matter.periodic.solve.LARGEST_ERROR", 1e-9)
+        with pytest.raises(NotConvergedError, match=f"^{made.context.source}: .* 1e-09;"):  # not that of the aim
+            made.spectrum([0.0], lam)
     monkeypatch.setattr("nacre.matter.periodic.order_tables.difference", lambda *_: 0.1)
     found = made.bsdf(lam).provenance
     assert found["estimated_error"] == 0.1 and len(found["warnings"]) == 1

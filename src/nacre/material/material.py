@@ -14,7 +14,7 @@ import html
 import json
 import logging
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
@@ -49,6 +49,7 @@ from nacre.material.examples import resolve_recipe_path
 from nacre.material.parametrise import Parametrisation
 from nacre.material.spatial_variation import Varying
 from nacre.matter.indices.library import lone_axes
+from nacre.matter.periodic.structure import NotConvergedError
 from nacre.measure.evaluate import bsdf_spectrum
 from nacre.recipe.fingerprint import file_digest, fingerprint
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
@@ -138,7 +139,8 @@ class Material:
         Raises:
             MaterialRangeError: an optical constant is not known at a wavelength.
         """
-        bsdf = self._solved(wavelength_grid(wavelengths_nm), keep)
+        with self._named_errors():
+            bsdf = self._solved(wavelength_grid(wavelengths_nm), keep)
         polarisation = bsdf.polarisation
         if isinstance(self.model, Polarising):
             polarisation = functools.partial(self._polarisation, self.model, bsdf.wavelengths_nm)
@@ -229,7 +231,8 @@ class Material:
             count = len(np.atleast_1d(self.model.wavelengths_nm if grid is None else grid))
             what = f"a spectrum of {len(theta)} angles x {count} wavelengths"
             check_memory(float(BYTES_PER_VALUE) * len(theta) * count, what)
-        found = self._solved_spectrum(theta, grid, polarisation, seed, azimuth_deg)
+        with self._named_errors():
+            found = self._solved_spectrum(theta, grid, polarisation, seed, azimuth_deg)
         if found is None:
             if polarisation != "both":
                 traits = self.model.traits
@@ -237,6 +240,14 @@ class Material:
             found = bsdf_spectrum(self._solved(grid), theta, seed=seed)
         self._warn_of_excess(found)
         return found
+
+    @contextlib.contextmanager
+    def _named_errors(self) -> Iterator[None]:
+        """Name the recipe where orders do not converge."""
+        try:
+            yield
+        except NotConvergedError as error:
+            raise NotConvergedError(f"{self.context.source}: {error}") from None
 
     def _solved_spectrum(
         self, theta: Array, grid: Array | None, polarisation: str, seed: int, azimuth_deg: float

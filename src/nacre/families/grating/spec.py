@@ -15,6 +15,7 @@ from nacre.families.grating.material import Grating, GratingLayer, Spread, Varyi
 from nacre.families.grating.profiles import MAX_FLAT_SLOPE, profile_of, read_profile
 from nacre.families.grating.shapes import ShapeSpec, check_shapes, widest
 from nacre.matter.indices.spec import IndexSpec, ambient_in
+from nacre.matter.periodic.solve import LARGEST_TOLERANCE
 from nacre.matter.periodic.structure import Cell, Profile
 from nacre.recipe.model import RecipeContext, RecipeModel
 
@@ -216,7 +217,7 @@ class ModelSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{tolerance = 1e-3}",)
 
-    tolerance: Annotated[float, Field(ge=1e-7, le=0.1)] | None = Field(
+    tolerance: Annotated[float, Field(ge=1e-7, le=LARGEST_TOLERANCE)] | None = Field(
         default=None,
         description="largest estimated error of an order's efficiency; default: lines 2e-4, profiles 5e-5, rectangles "
         "3e-3, other shapes 4e-3",
@@ -282,6 +283,11 @@ class GratingSpec(RecipeModel):
         if cell.period_y is None and not is_lines:
             bad = next(s.kind for layer in self.layers for s in layer.shapes if s.kind != "line")
             raise ValueError(f'lattice.kind = "line" does not fit the shape "{bad}"; allowed: shapes of kind line')
+        is_oblique = cell.period_y is not None and not cell.is_rectangular
+        if is_oblique and any(s.kind == "line" for layer in self.layers for s in layer.shapes):
+            raise ValueError(
+                'lattice: lines along y do not repeat in an oblique cell; allowed: kind = "line", or a rectangular cell'
+            )
         if cell.period_y is not None and max(cell.period_x, cell.period_y) > MAX_CROSSED_NM:
             raise ValueError(
                 f"lattice.period_nm = {max(cell.period_x, cell.period_y):g} is too large for two periods; "

@@ -28,6 +28,7 @@ METAL_SAFETY = {"lines": 0.5, "profile": 0.3, "elements": 0.35, "ovals": 1.0}
 TOLERANCE = {"lines": 2e-4, "profile": 5e-5, "elements": 2e-4, "rectangles": 3e-3, "fourier": 4e-3, "ovals": 4e-3}
 LEAST_ERROR = {"lines": 1e-5, "profile": 2e-6, "elements": 1e-5, "rectangles": 2e-4, "fourier": 2e-4, "ovals": 1e-3}
 LARGEST_ERROR = 2e-2  # where no tolerance is asked for, a larger error is refused; a smaller one is stated
+LARGEST_TOLERANCE = 0.1  # of recipes
 SINGULAR = 1.5e-3  # error at corners above which all sizes of elements are tried, in some ten seconds
 CHECKS = 3  # sizes of elements that check a smaller error at corners made from metal
 MAX_WALLS = 6  # along one axis: elements between more of them are too many
@@ -166,13 +167,22 @@ def _unchecked(stack: PeriodicStack) -> float:
 
 def _checked(best: OrderSolution, wavelength_nm: float, tolerance: float | None, is_strict: bool) -> OrderSolution:
     """Return a solution unless its error is above the tolerance, or, where none is asked for, too large."""
-    if is_strict and best.error > (tolerance or LARGEST_ERROR):
+    largest = tolerance or LARGEST_ERROR
+    if is_strict and best.error > largest:
         raise NotConvergedError(
-            f"orders at {wavelength_nm:g} nm: error {best.error:.1e} with {best.unknowns} unknowns, above the "
-            f"tolerance {tolerance or TOLERANCE[best.method]:g}; allowed: a larger model.tolerance, or a structure "
-            "with fewer or simpler shapes"
+            f"orders at {wavelength_nm:g} nm: error {best.error:.1e} with {best.unknowns} unknowns, above {largest:g}; "
+            f"allowed: {_accepted(best.error)}a structure with fewer or simpler shapes"
         )
     return best
+
+
+def _accepted(error: float) -> str:
+    """Return the tolerance that accepts an error, for messages; empty if recipes do not allow it."""
+    power = 10.0 ** np.floor(np.log10(error))
+    tolerance = float(np.ceil(error / power) * power)
+    if tolerance > LARGEST_TOLERANCE:
+        return ""
+    return f"model.tolerance = {tolerance:.1g} or larger, which accepts and states such errors, or "
 
 
 def _finest(
@@ -245,11 +255,12 @@ def _solve_slices(
         if best.error <= bound:
             break
         previous = finer
-    if is_strict and best.error > (bound if tolerance is not None else LARGEST_ERROR):
+    largest = tolerance if tolerance is not None else LARGEST_ERROR
+    if is_strict and best.error > largest:
         raise NotConvergedError(
             f"orders at {wavelength_nm:g} nm: error {best.error:.1e} with {SLICES[method][-1]} slices of the sloping "
-            f"walls, of which {change:.1e} by the slices, above the tolerance {bound:g}; allowed: a larger "
-            "model.tolerance, or steeper walls"
+            f"walls, of which {change:.1e} by the slices, above {largest:g}; allowed: {_accepted(best.error)}steeper "
+            "walls"
         )
     return best
 
