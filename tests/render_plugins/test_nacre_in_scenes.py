@@ -142,7 +142,7 @@ def test_another_material_needs_no_new_kernel(mi: Any, name: str) -> None:
         changes["surface.roughness"] = 0.31
     if name == "ridges":
         changes = {"ridges.height_deviation_nm": 90.0}
-    mi.render(scene(mi, _made(bsdf_of(name))), spp=1)
+    dr.eval(mi.render(scene(mi, _made(bsdf_of(name))), spp=1))
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         picture = mi.render(scene(mi, _made(bsdf_of(name, **changes))), spp=1)
