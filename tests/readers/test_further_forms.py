@@ -427,3 +427,17 @@ def test_an_infinite_absorbance_is_missing(tmp_path: Path) -> None:
     text = "Wavelength (nm),Absorbance\n" + rows(1.0).replace("1.00500", "inf")
     (found,) = open_file(written(tmp_path, "s.csv", text))
     np.testing.assert_allclose(found.data["wavelength_nm"], [nm for nm in NM if nm != 500])
+
+
+def test_a_date_above_numbers_is_no_heading(tmp_path: Path) -> None:
+    (found,) = open_file(written(tmp_path, "s.csv", "Sample: wafer\nDate: 01.02.2024\n" + rows(0.3)))
+    np.testing.assert_allclose(found.data["reflectance"][0], 0.304)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("nm", 1e-3), ("um", 1.0)])
+def test_a_unit_that_contradicts_the_numbers_is_asked_for(unit: str, factor: float, tmp_path: Path) -> None:
+    body = "".join(f"{nm * factor:g};0.5\n" for nm in NM)
+    path = written(tmp_path, "s.csv", f"Wavelength;Transmittance\n[{unit}];[1]\n{body}")
+    with pytest.raises(AmbiguousFileError) as caught:
+        open_file(path)
+    assert caught.value.option == "unit"

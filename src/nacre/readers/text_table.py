@@ -740,6 +740,8 @@ def _heading_cells(
             continue  # "(nm)" apart from its word
         known = sum(knows(c, units[i] if i < len(units) else "") for i, c in enumerate(cells) if c)
         fits = len(cells) == width
+        if known < len(cells) and cells[0][-1:] in (":", "="):
+            continue  # "Date: 01.02.2024"
         if not fits and (known < min(2, width) or known < len(cells)):
             continue
         if is_remark and (known < min(2, width) or not fits):

@@ -16,6 +16,7 @@ from nacre.readers.registry import FileHead
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Label, Notes
 from nacre.readers.text_table import LINE_END, TableFile, TextTable, decode, find_delimiter, number, split
+from nacre.readers.units import likely_unit
 
 HEADED, WIDE, PLAIN = 0.5, 0.4, 0.3
 OTHERS = ("n", "k", "eps1", "eps2", "alpha", "psi", "delta", "tan_psi", "cos_delta", "angle_of_incidence",
@@ -23,6 +24,7 @@ OTHERS = ("n", "k", "eps1", "eps2", "alpha", "psi", "delta", "tan_psi", "cos_del
 COLOUR_WORDS = ("sr", "sg", "sb")  # "red" heads a column of RGB as well as a sample
 LEAST_ROWS = 3
 MIN_NM, MAX_NM = 150.0, 30000.0
+FAR_INFRARED_NM = 1e5
 _WAVELENGTH = re.compile(
     r"^(wave ?length|wavelengths|wave|wl|wvl|lambda|λ|longueur d'onde|wellenl[äa]nge|longitud de onda|波長|"
     r"wave ?numbers?)\b|^\[?nm\b",
@@ -420,10 +422,30 @@ def _one(
     unit = common.option_unit(path, options) or common.unit_named(x_name)
     if unit is None or (unit == "nm" and "nm" not in x_name.lower() and "nanomet" not in x_name.lower()):
         unit = common.assumed_unit(path, x, notes, options, x_name)
+    if options.unit is None:
+        _check_range(path, x, unit)
     options = replace(options, quantity=None)  # `label` has its scale, which all columns share
     return common.spectrum(
         path, x, y, label, options, unit=unit, name=title, metadata=metadata, notes=notes, error=error
     )
+
+
+def _check_range(path: Path, x: Array, unit: str) -> None:
+    """Refuse X-rays and millimetres that are light in another unit.
+
+    Raises:
+        AmbiguousFileError: such numbers.
+    """
+    if not len(x) or x.min() <= 0.0:
+        return
+    nm = common.nanometres(x, unit)
+    likely = likely_unit(x, unit) if nm.max() < MIN_NM or nm.min() > FAR_INFRARED_NM else None
+    if likely is not None:
+        raise AmbiguousFileError(
+            f"{path}: {x.min():g} to {x.max():g} {unit} are no wavelengths of optics; the unit is probably {likely}",
+            "unit",
+            common.UNIT_CHOICES,
+        )
 
 
 def _across(lines: Sequence[str]) -> tuple[list[str], list[int], Array, list[list[str]]] | None:
