@@ -105,8 +105,10 @@ def colour_values(
     A family with direct evaluation does not solve the whole Bsdf.
     """
     grid = colour_grid(material, illuminant)
-    if isinstance(material.model, DirectEvaluation) and np.isfinite(line_nm := material.model.line_nm):
-        grid = line_wavelengths(material.model.wavelengths_nm if grid is None else grid, line_nm)
+    model = material.model
+    line_nm = model.line_nm if isinstance(model, DirectEvaluation) else np.inf
+    if np.isfinite(line_nm):
+        grid = line_wavelengths(model.wavelengths_nm if grid is None else grid, line_nm)
     few: tuple[Array, Array] | None = material.values_at(wi, wo, grid)
     if few is not None:
         return few

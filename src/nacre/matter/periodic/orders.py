@@ -129,8 +129,12 @@ def solutions_of(cases: list[Case], tolerance: float | None, is_coarse: bool) ->
     Args:
         is_coarse: at the smallest size and without an estimate of the error, which is infinite.
     """
+
+    def finest(case: Case) -> OrderSolution:
+        return cached_solution(*case, tolerance)
+
     if not is_coarse:
-        return in_workers(lambda case: cached_solution(*case, tolerance), cases, description=DESCRIPTION)
+        return in_workers(finest, cases, description=DESCRIPTION)
     # lines are solved faster in one call
     size = max(len(cases), 1) if all(method_of(case[0]) == "lines" for case in cases) else 1
     parts = [cases[k : k + size] for k in range(0, len(cases), size)]
