@@ -42,6 +42,13 @@ def test_a_number_at_its_bound_is_said_to_be_there(tmp_path: Path) -> None:
     assert "layers[0].thickness_nm: at a bound; the best may lie beyond it." in page.read_text(encoding="utf-8")
 
 
+def test_the_page_of_a_spectrum_beyond_the_visible_is_written_without_colours(tmp_path: Path) -> None:
+    csv, page = measured(tmp_path, 290.0, "900:1400:50"), tmp_path / "fit.html"
+    fit = nacre.fit(csv, tmp_path / "oxide.toml", ["layers[0].thickness_nm=250:350"], starts=1, report=page)
+    assert fit.numbers[0].value == pytest.approx(290.0, abs=0.1)
+    assert "data:image/png;base64," in page.read_text(encoding="utf-8")
+
+
 def test_the_page_of_directions_is_written_too(tmp_path: Path) -> None:
     film = nacre.material({"family": "film", "substrate": "Al", "surface": {"roughness": 0.2},
                            "layers": [{"material": "SiO2", "thickness_nm": 240}]})  # fmt: skip

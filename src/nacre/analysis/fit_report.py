@@ -50,7 +50,10 @@ def write_fit_page(path: str | Path, fit: Fit, measured: Data, free: Sequence[Pa
 
 
 def _figure(fit: Fit, measured: Data, free: Sequence[Parameter]) -> Figure:
-    if isinstance(measured, Joint | EllipsometryData | ColourData | TextureData | OrdersData):
+    is_invisible = isinstance(measured, Measured) and measured.kind == "spectrum" and not spans_colour(
+        measured.wavelengths_nm
+    )  # fmt: skip
+    if is_invisible or isinstance(measured, Joint | EllipsometryData | ColourData | TextureData | OrdersData):
         from nacre.plot import fit_panels_figure
 
         return fit_panels_figure(_panels(fit, measured), f"{fit.material.name}, fitted")
@@ -109,7 +112,6 @@ def _sheet(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> DesignShe
 
     assert measured.angles_deg is not None
     nm = measured.wavelengths_nm
-    is_coloured = spans_colour(nm)
     curves: dict[str, Array] = {}
     targets: dict[str, Array] = {}
     swatches = []
@@ -120,8 +122,7 @@ def _sheet(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> DesignShe
             label = f"{part.replace('_', ' ')}, {angle:g}\u00b0"
             data = measured.values[i, j]
             fitted = data + fit.residual[i, j]
-            if is_coloured:
-                swatches.append(Swatch(label, *_pair(data, fitted, nm)))
+            swatches.append(Swatch(label, *_pair(data, fitted, nm)))
             if i * len(measured.angles_deg) + j in far:
                 curves[label], targets[label] = fitted, np.stack([nm, data])
     bars = [
