@@ -37,6 +37,7 @@ SLICES_RATE = 1.5  # observed: the error of steps falls as count^-2 in s, as cou
 SLICES_SAFETY = 1.5  # of the extrapolated limit, over its distance from the finer solution
 SLICES_TOLERANCE = {"lines": 2e-3, "fourier": 1e-2}  # where none is asked for
 ADJACENT_STEP = 2  # size of adjacent layers of metal lines: 1e-3, where the smallest has errors up to 1.3e-2
+STEEP, STEEP_RATIO = 4.0, 0.5  # slope beside a corner of a profile beyond which errors only halve from size to size
 CORNER_RATE = 2.5  # the error of rectangles falls as degree^-2.5, by the fields at their corners
 
 
@@ -196,6 +197,7 @@ def _finest(
     best: OrderSolution | None = None
     last: Any = 0
     exponent = singular_exponent(stack) if method in METAL_SAFETY else None
+    least = STEEP_RATIO if method == "profile" and _is_steep(stack) else 0.0
     for size in sizes[:count]:
         try:
             found = run(stack, k0, theta_rad, phi_rad, size)
@@ -209,11 +211,12 @@ def _finest(
         if previous is not None:
             if method == "rectangles":
                 candidate = _extrapolated(previous, found, (last / size) ** CORNER_RATE)
-            if exponent is None:
+            if exponent is None and not least:
                 error = SAFETY[method] * difference(candidate if method == "rectangles" else previous, found)
             else:
                 step = smallest_element(stack, size) / smallest_element(stack, last) if method == "ovals" else GRADING
-                error = _metal_error(method, step ** (2.0 * exponent), amplitude_change(previous, found))
+                ratio = least if exponent is None else max(least, step ** (2.0 * exponent))
+                error = _metal_error(method, ratio, amplitude_change(previous, found))
             candidate = replace(candidate, error=max(error, LEAST_ERROR[method]))
             # a finer size that differs from the best by more than its error refutes that error
             is_refuted = method == "ovals" and best is not None and difference(best, found) > best.error
@@ -226,11 +229,20 @@ def _finest(
     return best
 
 
+def _is_steep(stack: PeriodicStack) -> bool:
+    """Whether a profile has a steep side beside a corner."""
+    if stack.profile is None or not stack.profile.corners:
+        return False
+    beside = np.array(stack.profile.corners)[:, None] + np.array([-1e-6, 1e-6])
+    slopes = stack.profile.slope(beside % 1.0) * (stack.profile.depth_nm / stack.cell.period_x)
+    return bool(np.abs(slopes).max() > STEEP)
+
+
 def _metal_error(method: str, ratio: float, change: float) -> float:
     """Return the error of the finer of two sizes.
 
     Args:
-        ratio: of their errors by the singular fields at edges of metal.
+        ratio: of their errors, by the singular fields at edges of metal or beside a steep side.
         change: of the amplitudes.
     """
     return change * max(METAL_SAFETY[method], ratio / (1.0 - ratio))
