@@ -38,6 +38,7 @@ SLICES_SAFETY = 1.5  # of the extrapolated limit, over its distance from the fin
 SLICES_TOLERANCE = {"lines": 2e-3, "fourier": 1e-2}  # where none is asked for
 ADJACENT_STEP = 2  # size of adjacent layers of metal lines: 1e-3, where the smallest has errors up to 1.3e-2
 STEEP, STEEP_RATIO = 4.0, 0.5  # slope beside a corner of a profile beyond which errors only halve from size to size
+CHANCE = 6.0  # error of Fourier series over a change that is small by chance; at most 5 in ten clear discs
 CORNER_RATE = 2.5  # the error of rectangles falls as degree^-2.5, by the fields at their corners
 
 
@@ -212,7 +213,10 @@ def _finest(
             if method == "rectangles":
                 candidate = _extrapolated(previous, found, (last / size) ** CORNER_RATE)
             if exponent is None and not least:
-                error = SAFETY[method] * difference(candidate if method == "rectangles" else previous, found)
+                change = difference(candidate if method == "rectangles" else previous, found)
+                error = SAFETY[method] * change
+                if method == "fourier":  # up to the bound, so that a smaller stated error does not exceed it either
+                    error = max(error, min(CHANCE * change, bound))
             else:
                 step = smallest_element(stack, size) / smallest_element(stack, last) if method == "ovals" else GRADING
                 ratio = least if exponent is None else max(least, step ** (2.0 * exponent))
