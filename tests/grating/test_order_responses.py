@@ -12,10 +12,12 @@ from helpers_grating import check_resumed_table
 from numpy.polynomial import chebyshev
 
 import nacre
+from nacre.bsdf.lobes.orders import OrdersLobe
 from nacre.core.machine import single_threaded_blas
 from nacre.matter.periodic import crossed_solver, order_tables
 from nacre.matter.periodic.crossed_solver import solve_fourier
 from nacre.matter.periodic.element_solver import solve_ovals
+from nacre.matter.periodic.line_solver import solve_profile
 from nacre.matter.periodic.order_responses import (
     LEAST_NODES,
     TAIL,
@@ -259,3 +261,55 @@ def test_an_error_never_falls_below_what_the_series_of_discs_reaches() -> None:
     stack = stack_of({"shape": "disc", "diameter_nm": 150, "material": {"n": 1.0 + 1e-9}}, 650.0, {"n": 1.5},
                      {"period_nm": 300})  # fmt: skip
     assert solve(stack, 650.0, 0.0, 0.0).error == LEAST_ERROR["fourier"] > 0.0
+
+
+PROFILES: dict[str, dict[str, Any]] = {
+    "blazed metal": {"substrate": "Al", "profile": {"shape": "blazed", "depth_nm": 120}},
+    "clear film": {
+        "substrate": {"n": 1.5},
+        "profile": {"shape": "triangle", "depth_nm": 150, "apex": 0.3},
+        "layers": [{"thickness_nm": 60, "material": {"n": 2.2}}],
+    },
+}
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_responses_of_a_profile_give_the_orders_of_the_coordinate_transformation(name: str) -> None:
+    """Another solver at directions between the nodes; elements of the smallest size are within 3e-4."""
+    made: Any = nacre.material({"family": "grating", "lattice": {"period_nm": 700}, **PROFILES[name]}).model
+    stack = made.stacks(np.array([550.0]))[0]
+    channels = channels_of(stack, 550.0)
+    symmetries = order_tables._symmetries(stack, order_tables._images(stack))
+    counts: tuple[int, int] = (12, 16)
+    u = np.stack([nodes(n)[at] for n, at in zip(counts, solved_nodes(channels, counts, symmetries).T, strict=True)], 1)
+    fit = fitted(channels, responses(channels, u @ channels.span), counts, symmetries)
+    for theta_deg, phi_deg in ((5.0, 20.0), (40.0, 200.0), (63.0, 100.0), (80.0, 15.0)):
+        theta, phi = np.radians([theta_deg, phi_deg])
+        exact = both_sides(solve_profile(stack, 2.0 * np.pi / 550.0, theta, phi, 2))
+        found = of_fit(fit, np.sin(theta) * np.array([np.cos(phi), np.sin(phi)]))
+        for one, other in zip(exact, found, strict=True):
+            assert {k for k, v in other.items() if v > 0.0} == set(one)
+            assert max((abs(other[k] - v) for k, v in one.items()), default=0.0) < TAIL[True]
+
+
+@pytest.mark.full
+def test_a_lobe_near_grazing_holds_the_efficiency_of_its_order() -> None:
+    """The integral of f cos over a lobe is E for both directions of light, and at most that at the horizon."""
+    made = nacre.material({
+        "family": "grating", "substrate": "Al", "lattice": {"period_nm": 1000}, "orientation": {"turn_deg": 30},
+        "profile": {"shape": "blazed", "depth_nm": 200}, "wavelengths": {"min_nm": 550, "max_nm": 560, "step_nm": 10},
+    })  # fmt: skip
+    lobe = next(each for each in made.bsdf(np.array([500.0, 550.0])).lobes if isinstance(each, OrdersLobe))
+    turn = np.radians(30.0)
+    for theta_deg, azimuth_deg in ((7.0, 30.0), (12.0, 70.0)):  # order 2 leaves at 78 and 72 degrees
+        theta, azimuth = np.radians([theta_deg, azimuth_deg])
+        wi = np.array([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)])
+        offsets = np.linspace(-8.0, 8.0, 201) * lobe.width
+        centre = 2.0 * 0.55 * np.array([np.cos(turn), np.sin(turn)]) - wi[:2]
+        across = centre + np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 2)
+        across = across[np.sum(across**2, axis=1) < 1.0]
+        wo = np.column_stack([across, np.sqrt(1.0 - np.sum(across**2, axis=1))])
+        integral = lobe.evaluate(np.broadcast_to(wi, wo.shape), wo)[:, 1].sum() * (offsets[1] - offsets[0]) ** 2
+        orders = nacre.orders(made, theta_deg, azimuth_deg, [550.0])
+        efficiency = orders.reflected[0, 0, orders.numbers[:, 0] == 2].mean()
+        assert integral == pytest.approx(efficiency, abs=2.0 * TAIL[True])

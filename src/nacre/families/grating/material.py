@@ -113,7 +113,7 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
 
     has_mirror = True
     is_direct = False  # a table over all directions is quicker for many of them
-    version = 3  # tables from responses
+    version = 4  # tables of profiles too from responses
     traits = Traits(noun="grating", default_parts=("specular_reflectance", "diffuse_reflectance"), takes_ambient=True)
 
     ambient: OpticalConstant
@@ -264,13 +264,21 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
             order_tables(replace(self, cell=cell).stacks(lam), lam, self.tolerance, largest_error=largest)
             for cell in cells
         ])  # fmt: skip
-        error = max(t.error for t in tables)
+        error, between = max(t.error for t in tables), max(t.between for t in tables)
         notes: dict[str, Any] = {
             "estimated_error": float(f"{error:.2g}"),
-            "interpolation_error": float(f"{max(t.between for t in tables):.2g}"),
+            "interpolation_error": float(f"{between:.2g}"),
         }
+        warnings = []
         if error > largest:
-            notes["warnings"] = [f"the table of its orders has errors up to {error:.2g}; nacre orders solves better"]
+            warnings.append(f"the table of its orders has errors up to {error:.2g}; nacre orders solves better")
+        if between > largest:
+            warnings.append(
+                f"interpolation in the table of its orders has errors up to {between:.2g}, beside angles at which an "
+                "order begins to propagate; nacre orders solves each direction; fewer wavelengths allow a finer table"
+            )
+        if warnings:
+            notes["warnings"] = warnings
         axes: tuple[ParameterAxis, ...] = ()
         if self.period is not None and len(cells) > 1:
             axes = (ParameterAxis("lattice.period_nm", np.array(self.period.nodes), self.period.texture),)

@@ -46,6 +46,8 @@ DECAY = 20.0  # of evanescent plane waves that are left out, over the buffer, in
 PHASE = 0.7  # largest phase (or decay) across an element, over its degree
 SKINS = 9.0  # penetration depths below a metal surface with separate elements
 MAX_ELEMENTS = 3000
+ALONG = 0.2  # of k^2 in the cover, below which errors, which grow as its inverse, need the next size
+MAX_INWARD = 3.0  # largest distance times k0 and the index over which responses are moved inward
 SIZES = ((4, 1), (6, 2), (8, 3), (10, 4), (12, 5))  # degree and grading layers
 
 
@@ -77,42 +79,15 @@ def solve_elements(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: f
         NotConvergedError: the elements are too many.
         WallsMeetError: walls meet.
     """
-    degree, layers = SIZES[size]
     transverse, k_z, _ = incident_wave(stack, theta_rad, phi_rad)
-    alpha_0, k_y = float(transverse[0]), float(transverse[1])
-    grid = (_profile_grid if stack.profile is not None else _wall_grid)(stack, k0, degree, layers)
-    period = stack.cell.period_x * k0
-    half = int(np.ceil((stack.reach + DECAY / (BUFFER * period)) * period / (2.0 * np.pi))) + 1
-    numbers = np.arange(-half, half + 1) - int(np.round(alpha_0 * period / (2.0 * np.pi)))
-    alpha = alpha_0 + 2.0 * np.pi / period * numbers
-    phase = complex(np.exp(1j * alpha_0 * period))
-    rows, columns = grid.epsilon.shape
+    system = _system_of(stack, k0, transverse, size)
+    grid, numbers = system.grid, system.numbers
     zero = int(np.flatnonzero(numbers == 0)[0])
     cosine, sine = np.array([np.cos(phi_rad)]), np.array([np.sin(phi_rad)])
-    light = np.zeros((len(alpha), 2, 2), dtype=complex)
+    light = np.zeros((len(numbers), 2, 2), dtype=complex)
     light[zero] = axial(cosine, sine, -k_z, stack.cover)[0]
-    upper, lower = _Side(grid.above, alpha, k_y, light), _Side(grid.below, alpha, -k_y, 0.0 * light)
-    matrix, places = _system(grid, degree, k_y, phase)
-    joints = []
-    for edges, at in ((grid.edges[1], rows), (grid.edges[0], 0)):
-        joint = plane_waves(assemble(period, edges, (degree,) * columns), alpha, phase)[0]
-        joints.append((joint, places[at]))
-    source = np.zeros((matrix.shape[0], 2), dtype=complex)
-    count = matrix.shape[0] // 2
-    for (joint, at), side in zip(joints, (upper, lower), strict=True):
-        both = np.concatenate([at, count + at])
-        block = np.block([[(joint * side.y[:, i, j]) @ joint.conj().T for j in (0, 1)] for i in (0, 1)])
-        matrix = matrix - scipy.sparse.csc_matrix(
-            (block.ravel(), (np.repeat(both, len(both)), np.tile(both, len(both)))), matrix.shape
-        )
-        source[both] += np.sqrt(period) * np.concatenate([joint @ side.s[:, 0], joint @ side.s[:, 1]])
-    found = scipy.sparse.linalg.splu(
-        matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True}
-    ).solve(source)  # a twentieth of the default's time
-    ends = []
-    for (joint, at), side in zip(joints, (upper, lower), strict=True):
-        e = np.stack([joint.conj().T @ found[at], joint.conj().T @ found[count + at]], axis=1) / np.sqrt(period)
-        ends.append(side.outward(e))
+    sides = system.outside(light)
+    ends = [side.outward(e) for side, e in zip(sides, system.solve(sides), strict=True)]
 
     def side_of(fields: Array, index: float, sign: float, shift: float) -> OrderSet:
         orders, waves = propagating(stack, k0, transverse, index)
@@ -129,7 +104,127 @@ def solve_elements(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: f
     transmitted = empty_orders()
     if stack.is_clear:
         transmitted = side_of(entry * ends[1], stack.substrate.real, -1.0, grid.low)
-    return OrderSolution(reflected, transmitted, np.inf, count, "elements")
+    return OrderSolution(reflected, transmitted, np.inf, system.matrix.shape[0] // 2, "elements")
+
+
+def profile_response(
+    stack: PeriodicStack, k0: float, transverse: Array, size: int, upper: Array, lower: Array
+) -> Array:  # fmt: skip
+    """Return the response of `order_responses` of a profile, between planes near half its height.
+
+    A source s adds to the admittance n of a channel at an end: with h = (H_y, -H_x), outward, h = n e - s.
+
+    Raises:
+        NotConvergedError: the elements are too many.
+    """
+    assert stack.profile is not None
+    is_along = stack.cover**2 - transverse[1] ** 2 < ALONG * stack.cover**2
+    system = _system_of(stack, k0, transverse, min(size + is_along, len(SIZES) - 1))
+    grid, k_y = system.grid, system.k_y
+    held = [side[:, 0] - system.numbers[0] for side in (upper, lower)]
+    total = 2 * (len(held[0]) + len(held[1]))
+    sides = system.outside(np.zeros((len(system.numbers), 2, total), dtype=complex))
+    ends = list(zip(held, (complex(stack.cover), complex(stack.substrate)), (1.0, -1.0), strict=True))
+    own, first = [], 0
+    for side, (at, medium, sign) in zip(sides, ends, strict=True):
+        x, y = (first + k * len(at) + np.arange(len(at)) for k in (0, 1))
+        first += 2 * len(at)
+        own.append((x, y))
+        index = medium.real or 1.0
+        side.y[at] = np.diag([1j * index, 1j / index])
+        side.s[at, 1, x], side.s[at, 0, y] = 1j * sign / index, -1j
+    electric, source = (np.zeros((total, total), dtype=complex) for _ in range(2))
+    half = 0.5 * stack.profile.depth_nm * k0
+    for e, (at, medium, sign), (x, y), gap in zip(
+        system.solve(sides), ends, own, (grid.high + half, grid.low + half), strict=True
+    ):
+        index, alpha = medium.real or 1.0, system.alpha[at]
+        unit = np.eye(total)
+        e_x, e_y = (sign * e[at, 1] + unit[x]) / index, e[at, 0]
+        h_x, h_y = index * e_x - unit[x], index * e_y - unit[y]
+        # inward through the medium outside
+        gamma = outgoing_root(medium**2 - alpha**2 - k_y**2)
+        distance = min(gap, MAX_INWARD / index)
+        c, s = (part[:, None] for part in (np.cos(gamma * distance), 1j * distance * np.sinc(gamma * distance / np.pi)))
+        a, b = alpha[:, None], k_y
+        square = medium**2
+        electric[x] = c * e_x - s * ((1.0 - a**2 / square) * h_x - a * b / square * h_y)
+        electric[y] = c * e_y - s * ((1.0 - b**2 / square) * h_y - a * b / square * h_x)
+        source[x] = index * electric[x] - c * h_x + s * ((square - b**2) * e_x + a * b * e_y)
+        source[y] = index * electric[y] - c * h_y + s * ((square - a**2) * e_y + a * b * e_x)
+    return np.asarray(np.linalg.solve(source.T, electric.T).T)
+
+
+def check_elements(stack: PeriodicStack, k0: float) -> None:
+    """Check the smallest elements of a profile.
+
+    Raises:
+        NotConvergedError: they are too many.
+    """
+    _profile_grid(stack, k0, *SIZES[0])
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Equations of one wave vector.
+
+    Attributes:
+        matrix: over E and then H, without the media outside.
+        joints: of the upper and the lower end: plane waves over the functions there, and numbers of these.
+        numbers, alpha: plane waves outside.
+        k_y, period: over k0, and times k0.
+    """
+
+    grid: Grid
+    matrix: scipy.sparse.csc_matrix
+    joints: list[tuple[Array, Array]]
+    numbers: Array
+    alpha: Array
+    k_y: float
+    period: float
+
+    def outside(self, light: Array) -> tuple[_Side, _Side]:
+        """Return the media outside with light `[wave, 2, case]` at the upper end, at the lower one without."""
+        above = _Side(self.grid.above, self.alpha, self.k_y, light)
+        return above, _Side(self.grid.below, self.alpha, -self.k_y, 0.0 * light)
+
+    def solve(self, sides: tuple[_Side, _Side]) -> list[Array]:
+        """Return (E_y, H_y) of the plane waves `[wave, 2, case]` at both ends."""
+        matrix = self.matrix
+        source = np.zeros((matrix.shape[0], sides[0].s.shape[2]), dtype=complex)
+        count = matrix.shape[0] // 2
+        for (joint, at), side in zip(self.joints, sides, strict=True):
+            both = np.concatenate([at, count + at])
+            block = np.block([[(joint * side.y[:, i, j]) @ joint.conj().T for j in (0, 1)] for i in (0, 1)])
+            matrix = matrix - scipy.sparse.csc_matrix(
+                (block.ravel(), (np.repeat(both, len(both)), np.tile(both, len(both)))), matrix.shape
+            )
+            source[both] += np.sqrt(self.period) * np.concatenate([joint @ side.s[:, 0], joint @ side.s[:, 1]])
+        found = scipy.sparse.linalg.splu(
+            matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True}
+        ).solve(source)  # a twentieth of the default's time
+        return [
+            np.stack([joint.conj().T @ found[at], joint.conj().T @ found[count + at]], axis=1) / np.sqrt(self.period)
+            for joint, at in self.joints
+        ]
+
+
+def _system_of(stack: PeriodicStack, k0: float, transverse: Array, size: int) -> System:
+    degree, layers = SIZES[size]
+    alpha_0, k_y = float(transverse[0]), float(transverse[1])
+    grid = (_profile_grid if stack.profile is not None else _wall_grid)(stack, k0, degree, layers)
+    period = stack.cell.period_x * k0
+    half = int(np.ceil((stack.reach + DECAY / (BUFFER * period)) * period / (2.0 * np.pi))) + 1
+    numbers = np.arange(-half, half + 1) - int(np.round(alpha_0 * period / (2.0 * np.pi)))
+    alpha = alpha_0 + 2.0 * np.pi / period * numbers
+    phase = complex(np.exp(1j * alpha_0 * period))
+    rows, columns = grid.epsilon.shape
+    matrix, places = _system(grid, degree, k_y, phase)
+    joints = []
+    for edges, at in ((grid.edges[1], rows), (grid.edges[0], 0)):
+        joint = plane_waves(assemble(period, edges, (degree,) * columns), alpha, phase)[0]
+        joints.append((joint, places[at]))
+    return System(grid, matrix, joints, numbers, alpha, k_y, period)
 
 
 class _Side:

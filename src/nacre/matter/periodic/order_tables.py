@@ -16,6 +16,7 @@ from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
 from nacre.core.jobs import in_workers
 from nacre.core.machine import in_threads
 from nacre.matter.periodic.crossed_solver import box_symmetries
+from nacre.matter.periodic.line_elements import check_elements, solve_elements
 from nacre.matter.periodic.order_responses import (
     EVEN_NODES,
     EXPENSIVE,
@@ -131,7 +132,7 @@ def _solved_tables(
     stack = stacks[0]
     method = method_of(stack)
     is_patterned = stack.profile is not None or any(layer.shapes for layer in stack.layers)
-    is_fitted = is_patterned and method != "profile"
+    is_fitted = is_patterned and _has_response(stack, float(wavelengths_nm[0]))
     if not is_patterned:
         thetas, azimuths = 64, 4
     elif table_error is not None:
@@ -192,7 +193,7 @@ def _solved_tables(
     coarse = (
         solve_many(waves, step)
         if method == "lines"
-        else in_workers(lambda each: solve_many([each], step)[0], waves, description=DESCRIPTION)
+        else in_workers(lambda each: _solved(each, step, is_fitted), waves, description=DESCRIPTION)
     )
     error = max((difference(*pair) for pair in zip(coarse, checked, strict=True)), default=0.0)
     made = OrderTables(
@@ -200,7 +201,25 @@ def _solved_tables(
         np.delete(transmitted, zero, axis=2), np.array([n for n in every if any(n)], dtype=np.int64).reshape(-1, 2),
         lattice, error, 0.0,
     )  # fmt: skip
-    return replace(made, between=_between(made, stacks, wavelengths_nm, step)) if some else made
+    return replace(made, between=_between(made, stacks, wavelengths_nm, step, is_fitted)) if some else made
+
+
+def _has_response(stack: PeriodicStack, wavelength_nm: float) -> bool:
+    """Whether responses are solved: but for profiles with too many elements, always."""
+    if stack.profile is not None:
+        try:
+            check_elements(stack, 2.0 * np.pi / wavelength_nm)
+        except NotConvergedError:
+            return False
+    return True
+
+
+def _solved(wave: tuple[PeriodicStack, float, float, float], step: int, is_fitted: bool) -> OrderSolution:
+    """Return the solution of one wave by the method of the table."""
+    stack, wavelength, theta, phi = wave
+    if is_fitted and stack.profile is not None:
+        return solve_elements(stack, 2.0 * np.pi / wavelength, theta, phi, step)
+    return solve_many([wave], step)[0]
 
 
 def _size(stacks: list[PeriodicStack], wavelengths_nm: Array) -> tuple[int, int]:
@@ -343,7 +362,9 @@ def _whole(
     return found
 
 
-def _between(tables: OrderTables, stacks: list[PeriodicStack], wavelengths_nm: Array, step: int) -> float:
+def _between(
+    tables: OrderTables, stacks: list[PeriodicStack], wavelengths_nm: Array, step: int, is_fitted: bool
+) -> float:  # fmt: skip
     """Return the largest error of an efficiency, in reflection and transmission, at a few midpoints of four nodes."""
     thetas, azimuths = tables.mirror.shape[0] - 1, tables.mirror.shape[1] - 1
     generator = np.random.default_rng(BETWEEN_SEED)
@@ -355,7 +376,7 @@ def _between(tables: OrderTables, stacks: list[PeriodicStack], wavelengths_nm: A
     def solved(case: tuple[int, int]) -> OrderSolution:
         k, w = case
         theta, phi = 0.5 * np.pi * (t[k] + 0.5) / thetas, 2.0 * np.pi * (a[k] + 0.5) / azimuths + np.pi
-        return solve_many([(stacks[w], float(wavelengths_nm[w]), float(theta), float(phi))], step)[0]
+        return _solved((stacks[w], float(wavelengths_nm[w]), float(theta), float(phi)), step, is_fitted)
 
     worst = 0.0
     solutions = in_workers(solved, cases)
@@ -431,15 +452,17 @@ def _images(stack: PeriodicStack) -> list[tuple[int, int]]:
 
 
 def _symmetries(stack: PeriodicStack, images: list[tuple[int, int]]) -> list[Symmetry]:
-    """Return the symmetries of the response: mirror images, and of two periods reciprocity and a diagonal mirror.
+    """Return the symmetries of the response: mirror images, reciprocity (unless solutions cost little), and a diagonal
+    mirror of two periods.
 
     By reciprocity, the response at the opposite wave vector is the transpose.
     """
     found = [(np.diag(signs).astype(float), False) for signs in images]
     cell, shapes = stack.cell, [shape for layer in stack.layers for shape, _ in layer.shapes]
+    if cell.period_y is not None or stack.profile is not None:
+        found.append((-np.eye(2), True))
     if cell.period_y is None:
         return found
-    found.append((-np.eye(2), True))
     turn = reflection(0.5 * cell.angle_rad)  # exchanges the lattice vectors, if these are of one length
     if cell.period_x != cell.period_y:
         return found
