@@ -2,7 +2,8 @@
 
 `_pillars_make.py` draws the gratings and solves them with two numbers of Fourier orders, kept in
 `validation/data/pillar_orders.jsonl`. Errors of its crossed series fall about as one over their number, so the limit
-is extrapolated, and the distance from the larger number to it is the doubt.
+is extrapolated, and the distance from the larger number to it is the doubt. Gratings that the other code doubts by
+more than the bar (high pillars of silicon) decide nothing against the bar.
 """
 
 from __future__ import annotations
@@ -60,16 +61,20 @@ def main(out_dir: str | Path) -> list[dict[str, Any]]:
     plot.tick_params(labelsize=7)
     plot.legend(fontsize=7, frameon=False)
     finish(figure, out_dir, FIGURE)
-    worst = int(np.argmax(found[:, 0]))
+    decided = np.flatnonzero(found[:, 1] <= BAR)
+    worst = int(decided[np.argmax(found[decided, 0])])
     beyond = int(np.sum(found[:, 0] > found[:, 1] + found[:, 2]))
+    undecided = [f"{names[k]}, doubt {found[k, 1]:.0e}" for k in range(len(cases)) if k not in decided]
+    ours = f"{found[worst, 0]:.1e} ({names[worst]}); median {np.median(found[decided, 0]):.1e}"
+    ours += f"; {len(undecided)} undecided ({'; '.join(undecided)})" * bool(undecided)
     made = row(
-        f"orders of {len(cases)} drawn gratings of two periods, s and p: largest difference", f"within {BAR:g}",
-        f"{found[worst, 0]:.1e} ({names[worst]}); median {np.median(found[:, 0]):.1e}", found[worst, 0] <= BAR, FIGURE,
+        f"orders of {len(decided)} drawn gratings of two periods, s and p: largest difference", f"within {BAR:g}",
+        ours, found[worst, 0] <= BAR, FIGURE,
     )  # fmt: skip
     return [
         made | {"family": "grating", "code": "fmmax"},
-        row("of these, differences beyond the sum of both doubts", f"at most {0.05 * len(cases):.0f}", beyond,
-            beyond <= round(0.05 * len(cases)), FIGURE),
+        row(f"of all {len(cases)}, differences beyond the sum of both doubts",
+            f"at most {0.05 * len(cases):.0f}", beyond, beyond <= round(0.05 * len(cases)), FIGURE),
     ]  # fmt: skip
 
 
