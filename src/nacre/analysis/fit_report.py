@@ -49,11 +49,16 @@ def write_fit_page(path: str | Path, fit: Fit, measured: Data, free: Sequence[Pa
     write_text(Path(path), page)
 
 
+def _needs_panels(measured: Data) -> bool:
+    """Whether each quantity has a panel: all but scattering and spectra that have colours."""
+    if isinstance(measured, Joint | EllipsometryData | ColourData | TextureData | OrdersData):
+        return True
+    measured = cast(Measured, measured)
+    return measured.kind == "spectrum" and not spans_colour(measured.wavelengths_nm)
+
+
 def _figure(fit: Fit, measured: Data, free: Sequence[Parameter]) -> Figure:
-    is_invisible = isinstance(measured, Measured) and measured.kind == "spectrum" and not spans_colour(
-        measured.wavelengths_nm
-    )  # fmt: skip
-    if is_invisible or isinstance(measured, Joint | EllipsometryData | ColourData | TextureData | OrdersData):
+    if _needs_panels(measured):
         from nacre.plot import fit_panels_figure
 
         return fit_panels_figure(_panels(fit, measured), f"{fit.material.name}, fitted")
