@@ -12,8 +12,11 @@ from nacre.analysis.html_report import report_json
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.lobes.orders import OrdersLobe
 from nacre.core.errors import UnsupportedError
-from nacre.light import spectrum_to_xyz
+from nacre.light import delta_e_2000, smooth_weights, spectrum_to_xyz, white_xyz, xyz_to_lab
+from nacre.measure.colours import colour_values
 from nacre.measure.evaluate import evaluate_for_colours
+from nacre.measure.geometry import Geometry, aspecular_pairs
+from nacre.optimise.measurement import simulate_measurement
 
 THETA, LAM = np.radians([0.0, 35.0]), np.array([450.0, 600.0])
 GROOVES: dict[str, Any] = {
@@ -96,3 +99,19 @@ def test_colours_of_orders_narrower_than_the_wavelength_steps_are_integrals_over
     bell = np.exp(-0.5 * ((sine[:, None] - dense / period) / width) ** 2) / (2.0 * np.pi * width**2)
     # linear interpolation at steps h widens a line by h^2 / 6 = 1/24 of its variance: 1e-3 of these colours
     np.testing.assert_allclose(found, spectrum_to_xyz(power * bell, dense), rtol=0.01, atol=0.02)
+
+
+def test_a_search_measures_the_colour_of_a_narrow_order_as_a_report_does() -> None:
+    """A line of 4 nm between wavelengths 20 nm apart; dE00 1 is just noticeable."""
+    line = {"shape": "line", "material": "Al", "width_nm": 350}
+    layers = [{"thickness_nm": 60, "material": "air", "shapes": [line]}]
+    made = {"family": "grating", "substrate": "Al", "layers": layers, "lattice": {"period_nm": 700}}
+    material, viewed = nacre.material(made), Geometry("aspecular", 45.0, 110.0)
+    values, lam = colour_values(material, *aspecular_pairs([viewed]), "D65")
+    found = simulate_measurement(material, [viewed], np.arange(380.0, 781.0, 20.0), memory={})
+    labs = [
+        xyz_to_lab(factors @ smooth_weights(grid, "D65", "2deg"), white_xyz("D65", "2deg"))
+        for factors, grid in ((np.pi * values, lam), (found.factors, found.wavelengths_nm))
+    ]
+    assert labs[0][0, 0] > 30.0  # an order leaves there
+    assert delta_e_2000(*labs).max() < 1.0

@@ -112,6 +112,19 @@ def line_wavelengths(wavelengths_nm: Array, line_nm: float) -> Array:
     return np.interp(np.arange(counts.sum() + 1), np.concatenate([[0], np.cumsum(counts)]), wavelengths_nm)
 
 
+def on_wavelengths(values: Array, own_nm: Array, wavelengths_nm: Array) -> Array:
+    """Return spectra `[..., wavelength]` of `own_nm` on fewer wavelengths, by least squares of their splines.
+
+    Colours agree, because weights over wavelength vary little within a step.
+    """
+    if len(own_nm) == len(wavelengths_nm):
+        return values
+    weights = np.sqrt(np.gradient(own_nm))
+    matrix = spline_matrix(wavelengths_nm, own_nm) * weights[:, None]
+    found: Array = values * weights @ np.linalg.pinv(matrix).T
+    return found
+
+
 def warn_of_table(bsdf: Bsdf, theta_rad: Array) -> None:
     """Warn of incidences `theta_rad` (> pi/2: from behind) at which the tables over angle are inexact."""
     if found := bsdf.error_ranges(theta_rad):

@@ -11,11 +11,16 @@ import numpy as np
 from nacre.bsdf.bsdf import Bsdf, Spectrum
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError, UnsupportedError
-from nacre.families.contract import search_model, surrogate_radiance, values_at
+from nacre.families.contract import DirectEvaluation, search_model, surrogate_radiance, values_at
 from nacre.light import default_wavelengths, lamp_lines_nm, spans_colour, with_lamp_lines
 from nacre.material.material import Material
 from nacre.measure.colours import WALK_NM
-from nacre.measure.evaluate import bsdf_spectrum, evaluate_with_error
+from nacre.measure.evaluate import (
+    bsdf_spectrum,
+    evaluate_for_colours,
+    line_wavelengths,
+    on_wavelengths,
+)
 from nacre.measure.geometry import Geometry, aspecular_pairs, spectrum_at
 from nacre.measure.texture import TextureQuantity, check_texture, texture_values
 
@@ -74,7 +79,7 @@ def simulate_measurement(
     wi, wo = aspecular_pairs([geometries[row] for row in rows])
     few = None
     if rows and memory is not None and wavelengths_nm is not None:
-        few = values_at(model, wi, wo, wavelengths_nm)
+        few = _direct_values(model, wi, wo, wavelengths_nm)
     bsdf: Bsdf | None = None
     if rows and few is None:
         bsdf = model.bsdf(wavelengths_nm)
@@ -98,8 +103,8 @@ def simulate_measurement(
         assert bsdf is not None
         if all(lobe.is_delta for lobe in bsdf.lobes):
             missing += [geometries[row] for row in rows]
-        values, deviation = evaluate_with_error(bsdf, wi, wo, samples=samples, seed=seed)
-        factors[rows] = np.pi * values
+        values, deviation, own = evaluate_for_colours(bsdf, wi, wo, samples=samples, seed=seed)
+        factors[rows] = np.pi * on_wavelengths(values, own, grid)
         if deviation is not None:
             error = np.zeros_like(factors)
             error[rows] = np.pi * deviation
@@ -110,6 +115,14 @@ def simulate_measurement(
         if error is not None:
             error[texture] = deviations[:, None]
     return Measurement(grid, factors, error, frozenset(missing))
+
+
+def _direct_values(model: Any, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
+    """Return `values_at`, integrated over orders that are narrower than the wavelength steps."""
+    line_nm = model.line_nm if isinstance(model, DirectEvaluation) else np.inf
+    own = line_wavelengths(wavelengths_nm, line_nm)
+    found = values_at(model, wi, wo, own)
+    return None if found is None else on_wavelengths(found, own, wavelengths_nm)
 
 
 def surrogate_factors(
