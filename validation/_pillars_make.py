@@ -20,7 +20,7 @@ SEED = 20261127
 KINDS = ("disc", "ellipse", "rectangle", "ring", "cross", "polygon")
 LATTICES = ("square", "rectangular", "hexagonal")
 INDICES = {"Si": (3.9, 0.02), "TiO2": (2.45, 0.0), "SiN": (2.02, 0.0), "glass": (1.46, 0.0)}
-COUNT = 18  # eight of them are solved so far, one with silicon
+COUNT = 18  # twelve of them are solved so far, four with silicon
 GRID = 512  # samples of the cell along each vector
 TERMS = (200, 400)
 
