@@ -528,6 +528,11 @@ def values_at(model: Model, wi: Array, wo: Array, wavelengths_nm: Array) -> Arra
     return model.values_at(wi, wo, wavelengths_nm) if isinstance(model, DirectEvaluation) else None
 
 
+def narrowest_line_nm(model: Model) -> float:
+    """Return `DirectEvaluation.line_nm` of a model that has it; otherwise infinity."""
+    return model.line_nm if isinstance(model, DirectEvaluation) else np.inf
+
+
 def search_model(model: Model, memory: dict[Any, Any], is_rough: bool = False) -> Model:
     """Return `SearchFidelity.search_model`, or the model itself if it lacks a cheaper form."""
     return model.search_model(memory, is_rough) if isinstance(model, SearchFidelity) else model

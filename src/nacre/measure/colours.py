@@ -14,7 +14,7 @@ from nacre.bsdf.bsdf import Bsdf, Spectrum
 from nacre.bsdf.lobes.interface import Microfacet
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
-from nacre.families.contract import DirectEvaluation
+from nacre.families.contract import narrowest_line_nm
 from nacre.light import lamp_lines_nm, spectrum_to_xyz, white_xyz, with_lamp_lines, xyz_to_lab
 from nacre.measure.evaluate import evaluate_for_colours, evaluate_with_error, line_wavelengths
 from nacre.measure.geometry import Geometry, aspecular_pairs, named_geometries, spectrum_at
@@ -106,7 +106,7 @@ def colour_values(
     """
     grid = colour_grid(material, illuminant)
     model = material.model
-    line_nm = model.line_nm if isinstance(model, DirectEvaluation) else np.inf
+    line_nm = narrowest_line_nm(model)
     if np.isfinite(line_nm):
         grid = line_wavelengths(model.wavelengths_nm if grid is None else grid, line_nm)
     few: tuple[Array, Array] | None = material.values_at(wi, wo, grid)

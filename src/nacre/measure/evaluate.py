@@ -88,12 +88,12 @@ def evaluate_for_colours(
         wi, wo: `[pair, 3]`.
     """
     own = np.asarray(bsdf.wavelengths_nm)
-    orders = [(lobe, share) for lobe, share in (unmasked(each, None, (1,)) for each in bsdf.lobes)
-              if isinstance(lobe, OrdersLobe)]  # fmt: skip
+    lobes = [(each, *unmasked(each, None, (1,))) for each in bsdf.lobes]
+    orders = [(lobe, share) for _, lobe, share in lobes if isinstance(lobe, OrdersLobe)]
     grid = line_wavelengths(own, min((lobe.line_nm for lobe, _ in orders), default=np.inf))
     if len(grid) == len(own):
         return *evaluate_with_error(bsdf, wi, wo, samples=samples, seed=seed), own
-    rest = tuple(each for each in bsdf.lobes if not isinstance(unmasked(each, None, (1,))[0], OrdersLobe))
+    rest = tuple(each for each, lobe, _ in lobes if not isinstance(lobe, OrdersLobe))
     total = np.zeros((len(wi), len(grid)))
     error: Array | None = None
     if rest:

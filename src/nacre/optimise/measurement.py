@@ -11,16 +11,11 @@ import numpy as np
 from nacre.bsdf.bsdf import Bsdf, Spectrum
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError, UnsupportedError
-from nacre.families.contract import DirectEvaluation, search_model, surrogate_radiance, values_at
+from nacre.families.contract import narrowest_line_nm, search_model, surrogate_radiance, values_at
 from nacre.light import default_wavelengths, lamp_lines_nm, spans_colour, with_lamp_lines
 from nacre.material.material import Material
 from nacre.measure.colours import WALK_NM
-from nacre.measure.evaluate import (
-    bsdf_spectrum,
-    evaluate_for_colours,
-    line_wavelengths,
-    on_wavelengths,
-)
+from nacre.measure.evaluate import bsdf_spectrum, evaluate_for_colours, line_wavelengths, on_wavelengths
 from nacre.measure.geometry import Geometry, aspecular_pairs, spectrum_at
 from nacre.measure.texture import TextureQuantity, check_texture, texture_values
 
@@ -119,8 +114,7 @@ def simulate_measurement(
 
 def _direct_values(model: Any, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
     """Return `values_at`, integrated over orders that are narrower than the wavelength steps."""
-    line_nm = model.line_nm if isinstance(model, DirectEvaluation) else np.inf
-    own = line_wavelengths(wavelengths_nm, line_nm)
+    own = line_wavelengths(wavelengths_nm, narrowest_line_nm(model))
     found = values_at(model, wi, wo, own)
     return None if found is None else on_wavelengths(found, own, wavelengths_nm)
 

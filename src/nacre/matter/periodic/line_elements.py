@@ -121,10 +121,10 @@ def profile_response(
     is_along = stack.cover**2 - transverse[1] ** 2 < ALONG * stack.cover**2
     system = _system_of(stack, k0, transverse, min(size + is_along, len(SIZES) - 1))
     grid, k_y = system.grid, system.k_y
-    held = [side[:, 0] - system.numbers[0] for side in (upper, lower)]
-    total = 2 * (len(held[0]) + len(held[1]))
+    channels = [side[:, 0] - system.numbers[0] for side in (upper, lower)]
+    total = 2 * (len(channels[0]) + len(channels[1]))
     sides = system.outside(np.zeros((len(system.numbers), 2, total), dtype=complex))
-    ends = list(zip(held, (complex(stack.cover), complex(stack.substrate)), (1.0, -1.0), strict=True))
+    ends = list(zip(channels, (complex(stack.cover), complex(stack.substrate)), (1.0, -1.0), strict=True))
     own, first = [], 0
     for side, (at, medium, sign) in zip(sides, ends, strict=True):
         x, y = (first + k * len(at) + np.arange(len(at)) for k in (0, 1))
