@@ -529,7 +529,7 @@ def values_at(model: Model, wi: Array, wo: Array, wavelengths_nm: Array) -> Arra
 
 
 def narrowest_line_nm(model: Model) -> float:
-    """Return `DirectEvaluation.line_nm` of a model that has it; otherwise infinity."""
+    """Return a model's `DirectEvaluation.line_nm`, or infinity if it has no direct evaluation."""
     return model.line_nm if isinstance(model, DirectEvaluation) else np.inf
 
 

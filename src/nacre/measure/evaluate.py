@@ -113,7 +113,7 @@ def line_wavelengths(wavelengths_nm: Array, line_nm: float) -> Array:
 
 
 def on_wavelengths(values: Array, own_nm: Array, wavelengths_nm: Array) -> Array:
-    """Return spectra `[..., wavelength]` of `own_nm` on fewer wavelengths, by least squares of their splines.
+    """Return spectra `[..., wavelength]` at `own_nm` on fewer wavelengths, by a least-squares fit with splines.
 
     Colours agree, because weights over wavelength vary little within a step.
     """
