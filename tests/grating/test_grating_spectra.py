@@ -12,12 +12,15 @@ from nacre.analysis.html_report import report_json
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.lobes.orders import OrdersLobe
 from nacre.core.errors import UnsupportedError
+from nacre.families.contract import Diffracting
 from nacre.light import delta_e_2000, smooth_weights, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.measure.colours import colour_values
 from nacre.measure.evaluate import evaluate_for_colours
 from nacre.measure.geometry import Geometry, aspecular_pairs
 from nacre.optimise.measurement import simulate_measurement
+from nacre.plot import lobe_figure
 
+NM = np.arange(380.0, 780.5, 1.0)
 THETA, LAM = np.radians([0.0, 35.0]), np.array([450.0, 600.0])
 GROOVES: dict[str, Any] = {
     "family": "grating", "substrate": "Al", "profile": {"shape": "sinusoidal", "depth_nm": 130},
@@ -86,11 +89,57 @@ def test_an_unknown_polarisation_is_refused() -> None:
         nacre.material(GROOVES).spectrum(THETA, LAM, "z", azimuth_deg=40)
 
 
-def test_colours_of_orders_narrower_than_the_wavelength_steps_are_integrals_over_their_lines() -> None:
-    grid, width, power, period = np.arange(380.0, 781.0, 20.0), 0.005, 0.3, 700.0
+def first_orders(period: float, width: float, power: float) -> Bsdf:
+    """Return first orders of equal efficiency, at wavelengths 20 nm apart."""
+    grid = np.arange(380.0, 781.0, 20.0)
     lattice = np.array([[1.0 / period, 0.0], [0.0, 0.0]])
     table = np.full((2, 2, 2, len(grid)), power, dtype=np.float32)
-    bsdf = Bsdf((OrdersLobe(grid, table, lattice, np.array([[-1, 0], [1, 0]]), width),))
+    return Bsdf((OrdersLobe(grid, table, lattice, np.array([[-1, 0], [1, 0]]), width),))
+
+
+def test_a_figure_shows_the_integrals_over_the_lines_of_narrow_orders() -> None:
+    """Towards each viewer the luminance follows y(lambda) S(lambda) of its line; single wavelengths are 20 nm apart."""
+    period, width = 1000.0, 0.005
+    outline = lobe_figure(first_orders(period, width, 0.3), [0.0]).axes[0].lines
+    x, y = next(line for line in outline if len(line.get_xdata()) == 721).get_data()
+    exits = np.radians(np.linspace(-89.75, 89.75, 721))
+    lam = period * np.abs(np.sin(exits))
+    luminance = np.interp(lam, NM, smooth_weights(NM, "D65", "2deg")[:, 1], 0.0, 0.0) * np.cos(exits)
+    # the weights curve by a few per cent within the 5 nm of a line
+    np.testing.assert_allclose(np.hypot(x, y), luminance / luminance.max(), atol=0.05)
+
+
+def test_values_between_whose_wavelengths_lines_of_orders_lie_are_stated_as_samples(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    up = np.array([0.0, 0.0, 1.0])
+    evaluate_for_colours(first_orders(700.0, 0.005, 0.3), up[None], up[None])
+    nacre.evaluate(first_orders(700.0, 0.2, 0.3), up, up)  # lines of 140 nm
+    assert not caplog.records
+    nacre.evaluate(first_orders(700.0, 0.005, 0.3), up, up)
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+
+
+@pytest.mark.full
+def test_the_stated_width_of_orders_is_that_of_the_bsdf() -> None:
+    """Orders that would overlap are narrower than the recipe asks: at most 0.12 of their distance."""
+    line = {"shape": "line", "material": {"n": 1.5}, "width_nm": 700}
+    wide = {
+        "family": "grating", "substrate": {"n": 1.5}, "lattice": {"period_nm": 1500}, "orders": {"spread_deg": 5.0},
+        "layers": [{"thickness_nm": 50, "material": "air", "shapes": [line]}], "wavelengths": GROOVES["wavelengths"],
+    }  # fmt: skip
+    model = nacre.material(wide).model
+    assert isinstance(model, Diffracting)
+    assert model.order_width_rad == pytest.approx(0.12 * 400.0 / 1500.0)
+    assert len(model.warnings) == 1
+    assert not nacre.material(GROOVES).model.warnings
+    lobes = [lobe for lobe in model.bsdf(np.array([600.0])).lobes if isinstance(lobe, OrdersLobe)]
+    assert {lobe.width for lobe in lobes} == {model.order_width_rad}
+
+
+def test_colours_of_orders_narrower_than_the_wavelength_steps_are_integrals_over_their_lines() -> None:
+    width, power, period = 0.005, 0.3, 700.0
+    bsdf = first_orders(period, width, power)
     sine = np.array([500.0, 513.0, 612.0]) / period  # the light along the normal, and three viewers
     wo = np.stack([sine, 0.0 * sine, np.sqrt(1.0 - sine**2)], axis=-1)
     values, _, lam = evaluate_for_colours(bsdf, np.broadcast_to([0.0, 0.0, 1.0], wo.shape), wo)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from nacre import plot
+from nacre.bsdf import Bsdf, Lobe
 from nacre.cli import main
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.light import smooth_weights, spectrum_to_xyz, xyz_to_lab
@@ -19,19 +20,18 @@ def film(roughness=0.2, thickness=300):
                      "surface": {"roughness": roughness}})  # fmt: skip
 
 
-class Lambertian:
+class Lambertian(Lobe):
     """A white diffuser: pi f = 1 in all directions."""
 
     wavelengths_nm = NM
-    lobes = ()
 
-    def evaluate(self, wi, wo):
+    def evaluate(self, wi, wo, uv=None):
         assert np.all(wi[:, 2] > 0) and np.all(wo[:, 2] > 0)
         return np.full((len(wi), len(NM)), 1 / np.pi)
 
 
 def test_a_white_diffuser_is_perfect_white_on_both_tracks():
-    tracks = plot.angle_tracks(Lambertian())
+    tracks = plot.angle_tracks(Bsdf((Lambertian(),)))
     assert set(tracks) == {"gloss", "diffuse"}
     for track in tracks.values():
         assert np.allclose(track.values, 1.0)

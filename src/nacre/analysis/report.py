@@ -36,8 +36,8 @@ from nacre.measure.colours import colour_bsdf, recipe_geometries
 from nacre.measure.evaluate import (
     SelectiveBand,
     circular_reflection,
+    evaluate_at_own,
     evaluate_for_colours,
-    evaluate_with_error,
     hemispherical,
     selective_band,
     warn_of_table,
@@ -300,7 +300,7 @@ def aperture_flux(bsdf: Bsdf, theta_deg: float, aperture: geometry.Aperture, sam
     wi = np.broadcast_to(direction(np.radians(theta_deg)), aperture.wo.shape)
     # the aperture has many nodes, so that each needs few samples
     fair = max(LEAST_SAMPLES, APERTURE_WALKS // len(aperture.wo)) if samples is None else samples
-    values, _ = evaluate_with_error(bsdf, wi, aperture.wo, samples=fair, seed=seed)
+    values = evaluate_at_own(bsdf, wi, aperture.wo, samples=fair, seed=seed)
     return np.asarray((aperture.weight * np.abs(aperture.wo[:, 2])) @ values)
 
 

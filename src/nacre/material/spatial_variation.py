@@ -23,7 +23,7 @@ from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Figure, Model, Traits
 from nacre.formats.number_maps import NumberMap
 from nacre.light import delta_e_2000, spans_colour, xyz_to_lab
-from nacre.measure.evaluate import evaluate_with_error
+from nacre.measure.evaluate import evaluate_at_own
 from nacre.measure.geometry import aspecular_direction
 from nacre.recipe.model import LENGTH_UNITS_NM, RecipeContext, validate
 
@@ -181,9 +181,9 @@ def node_colours(material: Any) -> Array:
     bsdf = material.bsdf(grid)
     wo = np.stack([aspecular_direction(45.0, angle) for angle in TEST_ASPECULAR_DEG])
     wi = np.broadcast_to(direction(np.radians(45.0)), wo.shape)
-    parts = [np.pi * evaluate_with_error(bsdf, wi, wo, samples=WALK_SAMPLES)[0]]
+    parts = [np.pi * evaluate_at_own(bsdf, wi, wo, samples=WALK_SAMPLES)]
     if bsdf.transmits:
-        parts.append(np.pi * evaluate_with_error(bsdf, wi, wo * [1.0, 1.0, -1.0], samples=WALK_SAMPLES)[0])
+        parts.append(np.pi * evaluate_at_own(bsdf, wi, wo * [1.0, 1.0, -1.0], samples=WALK_SAMPLES))
     mirror = bsdf.specular(np.radians(TEST_ANGLES_DEG))
     parts += [mirror.reflectance, mirror.transmittance]
     return comparison_xyz(np.concatenate(parts), grid).reshape(-1, 3)

@@ -20,13 +20,14 @@ from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array, direction, floats
 from nacre.core.errors import UnsupportedError
 from nacre.core.machine import check_memory
-from nacre.light.tristimulus import spline_matrix
+from nacre.light.tristimulus import spectrum_to_xyz, spline_matrix
 
 logger = logging.getLogger("nacre")
 
 BYTES_PER_VALUE = 40  # per pair and wavelength: the sum, the values of one lobe, and intermediate results
 UNIT_TOLERANCE = 1e-3  # of a vector's length
 LEAST_STEP_NM = 0.25  # between the wavelengths of colours
+PAIRS_AT_ONCE = 2048
 DEFAULT_SAMPLES = 4096  # paths per direction pair: about 2 % noise for a broad lobe
 
 
@@ -62,6 +63,7 @@ def evaluate_with_error(
     variance: Array | None = None
     if any(isinstance(lobe, Microfacet) for lobe in bsdf.lobes):
         warn_of_table(bsdf, _facet_angles(wi_array, wo_array))
+    _warn_of_lines(bsdf)
     for lobe in bsdf.lobes:
         if lobe.is_stochastic:
             unmasked_lobe, share = unmasked(lobe, uv_array, wi_array.shape[:-1])
@@ -90,7 +92,7 @@ def evaluate_for_colours(
     own = np.asarray(bsdf.wavelengths_nm)
     lobes = [(each, *unmasked(each, None, (1,))) for each in bsdf.lobes]
     orders = [(lobe, share) for _, lobe, share in lobes if isinstance(lobe, OrdersLobe)]
-    grid = line_wavelengths(own, min((lobe.line_nm for lobe, _ in orders), default=np.inf))
+    grid = line_wavelengths(own, _narrowest_nm(bsdf))
     if len(grid) == len(own):
         return *evaluate_with_error(bsdf, wi, wo, samples=samples, seed=seed), own
     rest = tuple(each for each, lobe, _ in lobes if not isinstance(lobe, OrdersLobe))
@@ -102,6 +104,30 @@ def evaluate_for_colours(
     for lobe, share in orders:
         total = total + lobe.evaluate_on(grid, wi, wo) * share[..., None]
     return total, error, grid
+
+
+def tristimulus_of_pairs(bsdf: Bsdf, wi: Array, wo: Array, illuminant: str) -> Array:
+    """Return XYZ `[pair, 3]` of values under a lamp (2 degree observer), integrated as in `evaluate_for_colours`.
+
+    Args:
+        bsdf: without random walks.
+        wi, wo: `[pair, 3]`.
+    """
+    if _narrowest_nm(bsdf) == np.inf:
+        return spectrum_to_xyz(np.maximum(bsdf.evaluate(wi, wo), 0.0), bsdf.wavelengths_nm, illuminant)
+    found = []
+    for start in range(0, len(wi), PAIRS_AT_ONCE):
+        some = slice(start, start + PAIRS_AT_ONCE)
+        values, _, grid = evaluate_for_colours(bsdf, wi[some], wo[some])
+        found.append(spectrum_to_xyz(np.maximum(values, 0.0), grid, illuminant))
+    return np.concatenate(found)
+
+
+def evaluate_at_own(bsdf: Bsdf, wi: Array, wo: Array, *, samples: int | None = None, seed: int = 0) -> Array:
+    """Return values `[..., wavelength]` at the wavelengths of a Bsdf, see `evaluate_for_colours`, `on_wavelengths`."""
+    pairs = wi.reshape(-1, 3), wo.reshape(-1, 3)
+    values, _, grid = evaluate_for_colours(bsdf, *pairs, samples=samples, seed=seed)
+    return on_wavelengths(values, grid, np.asarray(bsdf.wavelengths_nm)).reshape(*wi.shape[:-1], -1)
 
 
 def line_wavelengths(wavelengths_nm: Array, line_nm: float) -> Array:
@@ -125,15 +151,32 @@ def on_wavelengths(values: Array, own_nm: Array, wavelengths_nm: Array) -> Array
     return found
 
 
+def _narrowest_nm(bsdf: Bsdf) -> float:
+    """Return the standard deviation in wavelength of the narrowest order, infinity without orders."""
+    lobes = [unmasked(lobe, None, ())[0] for lobe in bsdf.lobes]
+    return min((lobe.line_nm for lobe in lobes if isinstance(lobe, OrdersLobe)), default=np.inf)
+
+
+def _warn_of_lines(bsdf: Bsdf) -> None:
+    """Warn of orders whose lines lie between the wavelengths."""
+    line, steps = _narrowest_nm(bsdf), np.diff(bsdf.wavelengths_nm)
+    if steps.max(initial=0.0) > max(line, LEAST_STEP_NM):
+        said = (
+            f"at fixed directions its orders are lines {line:.2g} nm wide, between wavelengths {steps.max():g} nm apart"
+        )
+        _warn_once(str(bsdf.provenance.get("source", "material")), f"{said}: these values are samples, not means")
+
+
 def warn_of_table(bsdf: Bsdf, theta_rad: Array) -> None:
     """Warn of incidences `theta_rad` (> pi/2: from behind) at which the tables over angle are inexact."""
     if found := bsdf.error_ranges(theta_rad):
-        _warn_once(str(bsdf.provenance.get("source", "material")), found)
+        source = str(bsdf.provenance.get("source", "material"))
+        _warn_once(source, f"{found}; the spectrum of a film's recipe is exact")
 
 
 @functools.lru_cache(maxsize=256)  # each message once per process
-def _warn_once(source: str, ranges: str) -> None:
-    logger.warning("%s: %s; the spectrum of a film's recipe is exact", source, ranges)
+def _warn_once(source: str, said: str) -> None:
+    logger.warning("%s: %s", source, said)
 
 
 def _facet_angles(wi: Array, wo: Array) -> Array:

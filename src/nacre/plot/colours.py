@@ -16,6 +16,7 @@ from nacre.bsdf.lobes.table import from_half_difference
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.measure.colours import colour_bsdf
+from nacre.measure.evaluate import evaluate_at_own
 from nacre.plot import style
 from nacre.plot.style import INK, LINES, house_style, new_figure, panel_title, shown_colours, small_print
 
@@ -275,7 +276,7 @@ def angle_tracks(
         bsdf: any.
         angles_deg: difference angles, equal to the incidence angle for gloss; default 5 to 70. The diffuse track
             uses those from 15 to 50.
-        evaluate: replaces `bsdf.evaluate` for random walks.
+        evaluate: replaces `evaluate_at_own` for random walks.
 
     Raises:
         NacreError: all reflectances are zero.
@@ -326,8 +327,7 @@ def _scattered(bsdf: Bsdf, half_deg: Array, difference_deg: Array, evaluate: Eva
     """Return pi f at phi_d = 90 degrees, with both directions above the surface, `[step, wavelength]`."""
     across = np.full(len(half_deg), 0.5 * np.pi)
     wi, wo = from_half_difference(np.radians(half_deg), np.radians(difference_deg), across)
-    values = bsdf.evaluate(wi, wo) if evaluate is None else evaluate(bsdf, wi, wo)
-    return np.pi * np.maximum(values, 0.0)
+    return np.pi * (evaluate or evaluate_at_own)(bsdf, wi, wo)
 
 
 def _bright(tracks: dict[str, Track], nm: Array) -> dict[str, Track]:

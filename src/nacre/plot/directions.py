@@ -11,6 +11,7 @@ from nacre import light
 from nacre.bsdf import Bsdf
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.measure.evaluate import tristimulus_of_pairs
 from nacre.plot import style
 
 Evaluate = Callable[[Array, Array], Array]
@@ -69,6 +70,11 @@ def slice_figure(
         NacreError: f is zero everywhere, as for a mirror, whose lobe is a delta.
     """
     xyz = light.spectrum_to_xyz(np.maximum(values, 0.0), wavelengths_nm, illuminant)
+    return _slice_figure(xyz, theta_h_deg, theta_d_deg, illuminant, title)
+
+
+def _slice_figure(xyz: Array, theta_h_deg: Array, theta_d_deg: Array, illuminant: str, title: str) -> Figure:
+    """Draw XYZ `[theta_d, theta_h, 3]`."""
     strength = xyz[..., 1]
     steep = strength[np.asarray(theta_d_deg) <= TOP_DEG]
     top = float(steep.max(initial=0.0)) or float(strength.max())
@@ -76,8 +82,7 @@ def slice_figure(
         raise NacreError("figure slice: f is zero everywhere; a mirror-smooth material has a delta lobe only")
     level = np.clip(1.0 + np.log10(np.maximum(strength, 1e-30) / top) / DECADES, 0.0, 1.0)
     wanted = light.lab_to_xyz(np.stack([100.0 * level, 0.0 * level, 0.0 * level], axis=-1))[..., 1]
-    rgb = light.spectrum_to_rgb_linear(np.maximum(values, 0.0), wavelengths_nm, illuminant)
-    rgb *= (wanted / np.maximum(strength, 1e-30))[..., None]
+    rgb = _rgb(xyz, illuminant) * (wanted / np.maximum(strength, 1e-30))[..., None]
     clipped = light.clip_to_srgb(rgb)
     with style.house_style():
         figure = style.new_figure(style.COLUMN_IN, 2.75)
@@ -128,9 +133,21 @@ def bsdf_slice_figure(
     """
     theta_h, theta_d, (wi, wo) = slice_directions(nodes, phi_d_deg)
     above = (wi[..., 2] > 0) & (wo[..., 2] > 0)
-    values = np.zeros((*above.shape, len(bsdf.wavelengths_nm)))
-    values[above] = (evaluate or bsdf.evaluate)(wi[above], wo[above])
-    return slice_figure(values, bsdf.wavelengths_nm, theta_h, theta_d, illuminant, title)
+    xyz = np.zeros((*above.shape, 3))
+    xyz[above] = _colours(bsdf, wi[above], wo[above], illuminant, evaluate)
+    return _slice_figure(xyz, theta_h, theta_d, illuminant, title)
+
+
+def _colours(bsdf: Bsdf, wi: Array, wo: Array, illuminant: str, evaluate: Evaluate | None) -> Array:
+    """Return XYZ `[pair, 3]`, by `evaluate` if given."""
+    if evaluate is None:
+        return tristimulus_of_pairs(bsdf, wi, wo, illuminant)
+    return light.spectrum_to_xyz(evaluate(wi, wo), bsdf.wavelengths_nm, illuminant)
+
+
+def _rgb(xyz: Array, illuminant: str) -> Array:
+    """Return linear sRGB of XYZ under a lamp."""
+    return light.xyz_to_srgb_linear(light.adapt_xyz(xyz, light.white_xyz(illuminant), light.SRGB_WHITE_XYZ))
 
 
 def lobe_figure(
@@ -172,9 +189,9 @@ def lobe_figure(
             axes = figure.add_subplot(rows, 1, row + 1)
             theta = np.radians(angle)
             wi = -np.sin(theta) * across + np.array([0.0, 0.0, np.cos(theta)])
-            values = (evaluate or bsdf.evaluate)(np.broadcast_to(wi, wo.shape).copy(), wo) * np.abs(wo[:, 2:])
+            xyz = _colours(bsdf, np.broadcast_to(wi, wo.shape).copy(), wo, illuminant, evaluate) * np.abs(wo[:, 2:])
             specular = bsdf.specular(np.array([theta]), phi_rad=turn + np.pi)
-            clipped_here, total_here = _polar(axes, exits, values, bsdf.wavelengths_nm, illuminant)
+            clipped_here, total_here = _polar(axes, exits, xyz, illuminant)
             clipped, total = clipped + clipped_here, total + total_here
             _spokes(axes, theta, specular, bsdf, illuminant)
             _circle(axes, bsdf.transmits)
@@ -183,16 +200,14 @@ def lobe_figure(
     return figure
 
 
-def _polar(axes: Any, exits: Array, values: Array, nm: Array, illuminant: str) -> tuple[int, int]:
+def _polar(axes: Any, exits: Array, xyz: Array, illuminant: str) -> tuple[int, int]:
     """Fill the diagram with wedges in the direction's colour, with a common lightness scale."""
-    xyz = light.spectrum_to_xyz(np.maximum(values, 0.0), nm, illuminant)
     top = float(xyz[:, 1].max())
     if top <= 0.0:
         return 0, 0
     radius = xyz[:, 1] / top
     # constant lightness: the radius shows the intensity, the wedge the hue
-    rgb = light.spectrum_to_rgb_linear(np.maximum(values, 0.0), nm, illuminant)
-    clipped = light.clip_to_srgb(rgb * (0.4 / np.maximum(xyz[:, 1], 1e-30))[:, None])
+    clipped = light.clip_to_srgb(_rgb(xyz, illuminant) * (0.4 / np.maximum(xyz[:, 1], 1e-30))[:, None])
     x, y = radius * np.sin(exits), radius * np.cos(exits)
     wedges = [((0, 0), (x[i], y[i]), (x[i + 1], y[i + 1])) for i in range(len(exits) - 1)]
     tiles = light.srgb_encode(0.5 * (clipped.rgb[1:] + clipped.rgb[:-1]))

@@ -19,7 +19,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError, did_you_mean
 from nacre.material.material import Material, MaterialLike, as_material, recipe_provenance
 from nacre.measure.colours import colour_bsdf, colour_grid, colour_spectrum
-from nacre.measure.evaluate import evaluate_with_error
+from nacre.measure.evaluate import evaluate_at_own
 from nacre.plot import spectra as polarisation
 from nacre.plot import style
 from nacre.plot.colours import chromaticity_figure, colour_map_figure, material_tracks
@@ -307,7 +307,7 @@ def as_drawn(material: Material, kind: str, over: object = None) -> Material:
 def plot_walk(bsdf: Bsdf, wi: Array, wo: Array) -> Array:
     """Evaluate a Bsdf for a figure, with fewer random-walk samples for more pairs."""
     pairs = max(1, int(np.prod(np.shape(wi)[:-1])))
-    return evaluate_with_error(bsdf, wi, wo, samples=int(np.clip(PLOT_WALKS // pairs, PLOT_SAMPLES, MOST_SAMPLES)))[0]
+    return evaluate_at_own(bsdf, wi, wo, samples=int(np.clip(PLOT_WALKS // pairs, PLOT_SAMPLES, MOST_SAMPLES)))
 
 
 # Structure figures: fields, stacks, flakes, structure factors, microscope images.

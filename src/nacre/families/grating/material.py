@@ -57,7 +57,7 @@ def _diffuse(lost: Array, wavelengths_nm: Array) -> Diffuse:
 
 @dataclass(frozen=True)
 class Spread:
-    """Angular standard deviation of each order, and standard deviations of places and sizes."""
+    """Angular standard deviation that each order should have, and standard deviations of places and sizes."""
 
     angle_rad: float
     period_deviation_nm: float = 0.0
@@ -113,7 +113,7 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
 
     has_mirror = True
     is_direct = False  # a table over all directions is quicker for many of them
-    version = 4  # tables of profiles too from responses
+    version = 5  # width of orders independent of the chosen wavelengths
     traits = Traits(noun="grating", default_parts=("specular_reflectance", "diffuse_reflectance"), takes_ambient=True)
 
     ambient: OpticalConstant
@@ -168,8 +168,22 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
 
     @property
     def order_width_rad(self) -> float:
-        """Angular standard deviation of each order."""
-        return self.spread.angle_rad
+        """Angular standard deviation of each order, limited so that neighbours do not overlap."""
+        return self._order_width(self.wavelengths_nm)
+
+    def _order_width(self, lam: Array) -> float:
+        cell = self.cell if self.period is None else self._cell_of(self.period.nodes[-1])
+        outer = float(np.mean(self.ambient.n_complex(lam).real))  # direction cosines are those in the ambient
+        lattice = cell.wave_vectors(np.eye(2)) / (2.0 * np.pi) / outer
+        return limited_width(self.spread.angle_rad, lattice, float(min(lam[0], self.grid_nm[0])))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Whether the orders are narrower than the recipe asks."""
+        width, asked = np.degrees([self.order_width_rad, self.spread.angle_rad])
+        if width > 0.99 * asked:
+            return ()
+        return (f"orders.spread_deg = {asked:.3g} makes orders overlap; they are {width:.2g} degrees wide",)
 
     def diffraction_orders(self, theta_rad: Array, azimuth_rad: float, wavelengths_nm: Array | None) -> Orders:
         """Return the orders for light from an azimuth in the surface's frame."""
@@ -287,8 +301,7 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
         first = tables[0]
         if not len(first.orders):
             return Bsdf(tuple(lobes), notes)
-        outer = float(np.mean(self.ambient.n_complex(lam).real))  # direction cosines are those in the ambient
-        width = limited_width(self.spread.angle_rad, tables[-1].lattice / outer, float(lam[0]))
+        outer, width = float(np.mean(self.ambient.n_complex(lam).real)), self._order_width(lam)
         kept = [self.spread.coherent_share(t.orders @ t.lattice)[:, None].astype(np.float32) for t in tables]
         for name, index in (("reflected", 0.0), ("transmitted", eta)):
             parts = [getattr(t, name) * share for t, share in zip(tables, kept, strict=True)]
@@ -349,9 +362,8 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
         }
         orders = np.array(sorted(numbers - {(0, 0)}), dtype=np.int64).reshape(-1, 2)
         lattice = self.cell.wave_vectors(np.eye(2)) / (2.0 * np.pi) / float(np.mean([s.cover for s in stacks]))
-        width = limited_width(self.spread.angle_rad, lattice, float(self.grid_nm[0]))
         none = np.zeros((2, 2, len(orders), len(lam)), dtype=np.float32)
-        return OrdersLobe(np.asarray(lam), none, lattice, orders, width, self._rotation)
+        return OrdersLobe(np.asarray(lam), none, lattice, orders, self._order_width(lam), self._rotation)
 
     def _cell_of(self, period_nm: float) -> Cell:
         return Cell(period_nm, None if self.cell.period_y is None else period_nm, self.cell.angle_rad)
