@@ -104,3 +104,58 @@ def test_an_open_property_is_refused_with_its_option(tmp_path: Path, capsys: pyt
 def test_unknown_options_are_refused(card: Path, options: dict[str, object]) -> None:
     with pytest.raises(NacreError):
         nacre.read(card, **options)
+
+
+WHITE = "".join(f"{nm},0.45\n" for nm in range(400, 701, 10))
+ENERGIES = "".join(f"{ev},0.45\n" for ev in (1.8, 2.0, 2.5, 3.0))
+CONTRADICTIONS = {
+    "a transmittance under R": (
+        "wavelength (nm),R\n" + WHITE,
+        {"quantity": "transmittance"},
+    ),
+    "a polarised one": ("wavelength (nm),Rs\n" + WHITE, {"quantity": "transmittance"}),
+    "one below a key": ("#YUNITS=REFLECTANCE\n" + WHITE, {"quantity": "absorbance"}),
+    "factors under per cent": ("wavelength (nm),R (%)\n" + WHITE, {"quantity": "reflectance (1)"}),
+    "micrometres under nm": ("wavelength (nm),R\n" + WHITE, {"unit": "um"}),
+    "energies under nm": ("wavelength (nm),Rp\n" + WHITE, {"unit": "eV"}),
+    "nanometres under eV": ("energy (eV),R\n" + ENERGIES, {"unit": "nm"}),
+    "constants in other units": ("wavelength (nm),n\n" + WHITE, {"unit": "um"}),
+    "a reflectance among constants": ("wavelength (nm),n\n" + WHITE, {"quantity": "reflectance"}),
+}
+
+
+@pytest.mark.parametrize("name", CONTRADICTIONS)
+def test_an_option_that_contradicts_the_file_is_refused(name: str, tmp_path: Path) -> None:
+    text, options = CONTRADICTIONS[name]
+    path = tmp_path / "x.csv"
+    path.write_text(text, encoding="utf-8")
+    nacre.read(path)
+    with pytest.raises(NacreError):
+        nacre.read(path, **options)
+
+
+def test_a_quantity_without_a_scale_keeps_the_per_cent_of_the_heading(card: Path) -> None:
+    """Dark values below 1 under "%R" are per cent, whether or not the quantity is given too."""
+    dark = nacre.read(card, spectrum="dark %R", quantity="reflectance")
+    assert isinstance(dark, nacre.Measurement)
+    np.testing.assert_allclose(dark.data["reflectance"].max(), 0.007)
+
+
+def test_a_unit_may_replace_an_impossible_one(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text("wavelength (um),R\n" + WHITE, encoding="utf-8")
+    with pytest.raises(AmbiguousFileError):
+        nacre.read(path)
+    found = nacre.read(path, unit="nm")
+    assert isinstance(found, nacre.Measurement) and found.data["wavelength_nm"][-1] == 700.0
+
+
+@pytest.mark.parametrize("heading", ["R (60°)", "R"])
+def test_an_angle_beside_another_one_in_the_file_is_stated(heading: str, tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    above = "# AOI = 60 deg\n" if heading == "R" else ""
+    path.write_text(f"{above}wavelength (nm),{heading}\n" + WHITE, encoding="utf-8")
+    with_other, alone = nacre.read(path, angle_deg=45.0), nacre.read(path)
+    assert isinstance(with_other, nacre.Measurement) and isinstance(alone, nacre.Measurement)
+    assert len(with_other.assumed) == len(alone.assumed) + (heading != "R")
+    assert any("45" in said and "60" in said for said in with_other.assumed)

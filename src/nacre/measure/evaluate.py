@@ -152,13 +152,13 @@ def on_wavelengths(values: Array, own_nm: Array, wavelengths_nm: Array) -> Array
 
 
 def _narrowest_nm(bsdf: Bsdf) -> float:
-    """Return the standard deviation in wavelength of the narrowest order, infinity without orders."""
+    """Return the narrowest `line_nm`, infinity without orders."""
     lobes = [unmasked(lobe, None, ())[0] for lobe in bsdf.lobes]
     return min((lobe.line_nm for lobe in lobes if isinstance(lobe, OrdersLobe)), default=np.inf)
 
 
 def _warn_of_lines(bsdf: Bsdf) -> None:
-    """Warn of orders whose lines lie between the wavelengths."""
+    """Warn that lines lie between the wavelengths."""
     line, steps = _narrowest_nm(bsdf), np.diff(bsdf.wavelengths_nm)
     if steps.max(initial=0.0) > max(line, LEAST_STEP_NM):
         said = (

@@ -129,6 +129,11 @@ class Columns:
         if not found:
             return None
         each = [_in_nm(self, column, options) for column in found]
+        given = parse_unit(options.unit or "")
+        if given is not None and not any(_may_have(column, given) for column in found):
+            raise NacreError(
+                f'{self.path}: unit = "{given}", but the file states "{found[0].heading}"; correct one of them'
+            )
         for column, values in zip(found[1:], each[1:]):
             if not np.allclose(values, each[0], rtol=SAME_WAVELENGTH, equal_nan=True):
                 raise NacreError(
@@ -170,7 +175,7 @@ def _in_nm(columns: Columns, column: Column, options: ReadOptions) -> Floats:
     if float(finite.min()) <= 0.0:
         bad = float(finite.min())
         raise NacreError(f"{columns.path}: {column.heading} = {bad:g} should be positive")
-    if given is not None and (quantity == "spectral" or UNITS[given][0] == _dimension(quantity)):
+    if given is not None and _may_have(column, given):
         return to_nm(values, given)
     if not unit:
         readings = spectral_units(finite, None if quantity == "spectral" else quantity)
@@ -203,6 +208,14 @@ def _in_nm(columns: Columns, column: Column, options: ReadOptions) -> Floats:
             (likely, unit) if likely in UNITS else (unit,),
         )
     return to_nm(values, unit)
+
+
+def _may_have(column: Column, unit: str) -> bool:
+    """Whether a spectral column states this unit, or none, or an implausible one."""
+    quantity, values = column.meaning.quantity, column.values[np.isfinite(column.values)]
+    if quantity != "spectral" and UNITS[unit][0] != _dimension(quantity):
+        return False
+    return column.unit in ("", unit) or likely_unit(values, column.unit) is not None
 
 
 def _dimension(quantity: str) -> str:

@@ -210,8 +210,6 @@ def ellipsometry(
             raise AmbiguousFileError(f"{path}: the angle of incidence is missing; state --angle-deg", "angle_deg")
         data["angle_of_incidence_deg"] = np.full(len(wavelength), float(options.angle_deg))
         notes.append(f"the angle of incidence is {options.angle_deg:g} degrees, as given")
-    elif options.angle_deg is not None and np.any(data["angle_of_incidence_deg"] != options.angle_deg):
-        notes.append(f"the file states its angles of incidence; --angle-deg {options.angle_deg:g} is not used")
     angle = data["angle_of_incidence_deg"]
     within(path, "angle_of_incidence_deg", angle, 0.0, 90.0)
     extra = dict(metadata or {})

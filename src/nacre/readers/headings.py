@@ -488,6 +488,13 @@ def read_preamble(titles: Sequence[str]) -> Preamble:
     )
 
 
+def instead_of(above: Preamble, angle_deg: float | None) -> list[str]:
+    """Return the remark that a given incidence angle replaces the one above a table."""
+    if angle_deg is None or above.angle_deg in (None, angle_deg):
+        return []
+    return [f"angle_deg = {angle_deg:g} in place of {' and '.join(map(repr, above.lines))}"]
+
+
 def _angles(text: str) -> list[float]:
     match = _KEY_VALUE.fullmatch(text)
     if match:

@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any, cast
 from xml.etree.ElementTree import ParseError
 
+import numpy as np
+
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import named, plain, why_unreadable
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
@@ -168,11 +170,39 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
         raise NacreError(f"{path}: is damaged, or no {entry.title} ({str(error)[:80]})") from error
     if not measurements:
         raise NacreError(f"{path}: {entry.title} without data")
+    _check_quantity(path, measurements, options)
     remarks = [CUT] if _is_cut(path) else []
     return [
-        replace(each, format=entry.id, assumed=(*each.assumed, *(said for said in remarks if said not in each.assumed)))
+        replace(
+            each,
+            format=entry.id,
+            assumed=(*dict.fromkeys([*each.assumed, *remarks, *_unused(each, options)]),),
+        )
         for each in measurements
     ]
+
+
+def _check_quantity(path: Path, measurements: Sequence[Measurement], options: ReadOptions) -> None:
+    """Refuse a quantity that all spectra and constants lack."""
+    from nacre.readers.spectra.common import label_of
+
+    optical = [each for each in measurements if each.kind in ("spectrum", "constants")]
+    label = label_of(options.quantity or "")
+    names = {options.quantity, label.quantity if label else None}
+    if options.quantity is not None and optical and not any(names & set(each.data) for each in optical):
+        held = ", ".join(dict.fromkeys(name for each in optical for name in each.data))
+        raise NacreError(f'{path}: quantity = "{options.quantity}" is not in the file, which holds {held}')
+
+
+def _unused(measurement: Measurement, options: ReadOptions) -> list[str]:
+    """Return remarks on options that the file overrides: incidence angle and pitch."""
+    said = []
+    for key, given in (("angle_of_incidence_deg", options.angle_deg), ("pitch_um", options.pitch_um)):
+        stated = measurement.data.get(key, measurement.metadata.get(key))
+        if given is not None and stated is not None and not np.allclose(stated, given, rtol=1e-4):
+            option = key.replace("of_incidence_", "")
+            said.append(f"the file states {np.ravel(stated)[0]:g}; {option} = {given} is not used")
+    return said
 
 
 def _is_cut(path: Path) -> bool:

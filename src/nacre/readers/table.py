@@ -30,7 +30,14 @@ from nacre.readers.columns import (
 from nacre.readers.constants import QUANTITIES as CONSTANTS
 from nacre.readers.constants import constants
 from nacre.readers.ellipsometry_units import ellipsometry
-from nacre.readers.headings import SPECTRAL_QUANTITIES, degrees, light_above, meanings, read_preamble
+from nacre.readers.headings import (
+    SPECTRAL_QUANTITIES,
+    degrees,
+    instead_of,
+    light_above,
+    meanings,
+    read_preamble,
+)
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, POSSIBLE, FileHead
 from nacre.readers.spectra.tables import of_samples
@@ -324,6 +331,7 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
         )
     above = read_preamble(table.titles)
     is_open = angle is None and options.angle_deg is None and all(key[1] is None for key in groups)
+    columns.assumed.extend(instead_of(above, options.angle_deg))
     stated_angle = above.angle_deg if is_open else None
     stated_word = above.polarisation if words is None and not any(key[0] for key in groups) else ""
     if stated_angle is not None or stated_word:
@@ -376,9 +384,10 @@ def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
     found["wavelength_nm"] = np.tile(nm, len(groups))
     if angle is not None:
         found["angle_of_incidence_deg"] = columns.degrees(angle, options)
-    elif None in groups and options.angle_deg is None:
+    elif None in groups:
         above = read_preamble(columns.table.titles)
-        if above.angle_deg is not None:
+        columns.assumed.extend(instead_of(above, options.angle_deg))
+        if above.angle_deg is not None and options.angle_deg is None:
             found["angle_of_incidence_deg"] = np.full(len(nm), above.angle_deg)
             columns.assumed.append(f"angle of incidence from {' and '.join(map(repr, above.lines))}")
     elif None not in groups:

@@ -168,7 +168,7 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
 
     @property
     def order_width_rad(self) -> float:
-        """Angular standard deviation of each order, limited so that neighbours do not overlap."""
+        """Angular standard deviation, limited so that neighbouring orders do not overlap."""
         return self._order_width(self.wavelengths_nm)
 
     def _order_width(self, lam: Array) -> float:

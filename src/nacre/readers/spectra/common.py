@@ -13,11 +13,13 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.text_table import LINE_END, delimiters, find_delimiter, load_text, number, split
+from nacre.readers.units import likely_unit
 
 MAX_TEXT_BYTES = 256 << 20
 MAX_METADATA = 40
 VISIBLE_NM = (400.0, 700.0)
 QUANTITIES = ("reflectance", "transmittance", "absorptance", "absorbance", "counts", "irradiance")
+RATIOS = QUANTITIES[:4]
 SCALED = ("reflectance (%)", "reflectance (1)", *QUANTITIES[1:])  # where the scale is not stated either
 
 # the first pattern that a label in lower case contains decides
@@ -288,13 +290,30 @@ def option_unit(path: Path, options: ReadOptions) -> str | None:
     return unit
 
 
-def axis_unit(path: Path, options: ReadOptions, stated: str) -> str:
-    """Return the abscissa unit of the options, or that which a file states.
+def agreed_unit(path: Path, options: ReadOptions, stated: str | None, x: Array | None = None) -> str | None:
+    """Return the abscissa unit that a file states, or the options.
+
+    Args:
+        x: abscissa in the file; if the stated unit makes it implausible, the options decide.
 
     Raises:
-        NacreError: the stated one is not known.
+        NacreError: both state different units.
     """
-    unit = option_unit(path, options) or unit_named(stated)
+    given = option_unit(path, options)
+    if given is None or stated is None or given == stated:
+        return given or stated
+    if x is not None and len(x) and x.min() > 0.0 and likely_unit(x, stated) is not None:
+        return given
+    raise NacreError(f'{path}: unit = "{given}", but the file states "{stated}"; correct one of them')
+
+
+def axis_unit(path: Path, options: ReadOptions, stated: str) -> str:
+    """Return the abscissa unit that a file states, or the options.
+
+    Raises:
+        NacreError: the stated one is not known, or contradicts the options.
+    """
+    unit = agreed_unit(path, options, unit_named(stated))
     if unit is None:
         raise NacreError(f'{path}: "{stated}" is no unit of a spectrum')
     return unit
@@ -312,6 +331,32 @@ def option_label(path: Path, options: ReadOptions) -> Label | None:
     if label is None or label.quantity == "error":
         raise NacreError(f'{path}: quantity = "{options.quantity}" is not known; allowed: {", ".join(QUANTITIES)}')
     return label
+
+
+def agreed_label(
+    path: Path, options: ReadOptions, stated: Label | None, words: str, notes: Notes | None = None
+) -> Label | None:
+    """Return the quantity and scale that a file states, or the options.
+
+    Counts and other signals may be declared as any quantity.
+
+    Args:
+        words: in the file, for the message.
+        notes: for a binary file, which cannot be corrected: the options decide, and a note names both.
+
+    Raises:
+        NacreError: both state different ones.
+    """
+    given = option_label(path, options)
+    if given is None or stated is None or stated.quantity not in RATIOS:
+        return given or stated
+    if given.quantity != stated.quantity or None is not given.factor != stated.factor is not None:
+        said = f'quantity = "{options.quantity}", but the file states {stated.quantity} ("{words.strip()[:40]}")'
+        if notes is None:
+            raise NacreError(f"{path}: {said}; correct one of them")
+        notes.assumed.append(said)
+        return given
+    return stated if given.factor is None else given
 
 
 def assumed_unit(path: Path, x: Array, notes: Notes, options: ReadOptions, name: str = "") -> str:
@@ -376,7 +421,7 @@ def named_quantity(
     Raises:
         AmbiguousFileError: the name is not known, and no option states the quantity.
     """
-    label = option_label(path, options) or label_of(stated)
+    label = agreed_label(path, options, label_of(stated), stated)
     if label is not None:
         return label
     if stated.strip():

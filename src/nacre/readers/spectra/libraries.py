@@ -359,8 +359,8 @@ def _spectrum(path: Path, block: Block, label: Label | None, options: ReadOption
     x, y = _xy(path, block)
     unit = common.axis_unit(path, options, block.records.get("XUNITS", ""))
     nm = common.nanometres(x, unit)
-    label = common.option_label(path, options) or label
     units = block.records.get("YUNITS", "")
+    label = common.agreed_label(path, options, label or common.label_of(units), units)
     if label is None:
         label = common.named_quantity(path, options, units, nm, y, notes)
     if label.quantity in ("reflectance", "transmittance") and label.factor is None:
@@ -546,15 +546,19 @@ def read_grams_spc(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read all spectra of a file."""
     data = path.read_bytes()
     head = _head(data)
-    unit = common.option_unit(path, options) or X_UNITS.get(head.x_type)
+    unit = X_UNITS.get(head.x_type)
     if unit is None and head.labels:
         unit = common.unit_named(head.labels[0])
+    unit = common.agreed_unit(path, options, unit)
     notes = Notes()
     spectra = []
     for count, (x, y) in enumerate(_tables(path, data, head), start=1):
         own = Notes(list(notes.assumed))
         found = unit or common.assumed_unit(path, x, own, options)
-        label = common.option_label(path, options) or _spc_label(path, head)
+        label = common.agreed_label(path, options, _spc_label(head), "the type of the ordinate", own)
+        if label is None:
+            said = f"{path}: the ordinate has type {head.y_type}, no quantity"
+            raise AmbiguousFileError(said, "quantity", common.SCALED)
         name = head.comment if head.spectra == 1 else str(count)
         spectra.append(
             common.spectrum(
@@ -564,13 +568,9 @@ def read_grams_spc(path: Path, options: ReadOptions) -> list[Measurement]:
     return common.choose(path, spectra, options)
 
 
-def _spc_label(path: Path, head: Head) -> Label:
+def _spc_label(head: Head) -> Label | None:
     label = Y_LABELS.get(head.y_type)
-    if label is None and len(head.labels) > 1:
-        label = common.label_of(head.labels[1])
-    if label is None:
-        raise AmbiguousFileError(f"{path}: the ordinate has type {head.y_type}, no quantity", "quantity", common.SCALED)
-    return label
+    return common.label_of(head.labels[1]) if label is None and len(head.labels) > 1 else label
 
 
 def _head(data: bytes) -> Head:

@@ -10,7 +10,7 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.columns import interpret, load_tables, tables_of
-from nacre.readers.headings import SPECTRAL_QUANTITIES, degrees, meanings, read_preamble, with_preamble
+from nacre.readers.headings import SPECTRAL_QUANTITIES, degrees, instead_of, meanings, read_preamble, with_preamble
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import FileHead
 from nacre.readers.spectra import common
@@ -122,9 +122,11 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     else:
         found_spectra = _columns(path, _numbers(table), names, metadata, options, notes, ordinate)
     above = read_preamble(table.titles)
+    said = instead_of(above, options.angle_deg)
     if options.angle_deg is not None:  # the user's statement precedes
         above = replace(above, angle_deg=None)
-    return common.choose(path, [with_preamble(each, above) for each in found_spectra], options)
+    with_above = [with_preamble(each, above) for each in found_spectra]
+    return common.choose(path, [replace(each, assumed=(*each.assumed, *said)) for each in with_above], options)
 
 
 def of_samples(table: TextTable, options: ReadOptions) -> list[Measurement] | None:
@@ -246,7 +248,8 @@ def _plain(
     columns = _plain_columns(table)
     if columns is None:
         raise AmbiguousFileError(f"{path}: {table.shape[1]} columns without headings", "columns")
-    unit = common.option_unit(path, options) or axis_unit or common.assumed_unit(path, table[:, 0], notes, options)
+    unit = common.agreed_unit(path, options, axis_unit, table[:, 0])
+    unit = unit or common.assumed_unit(path, table[:, 0], notes, options)
     nm = common.nanometres(table[:, 0], unit)
     label = common.named_quantity(path, options, ordinate, nm, columns[0], notes, "no heading")
     if columns[1] is not None:
@@ -321,7 +324,7 @@ def _columns(
     )
     angles = [degrees(names[column]) for column, _ in spectra]
     is_incidence = all(angle is not None and 0.0 <= angle < 90.0 for angle in angles)  # 110 and -15 are aspecular
-    if not is_incidence or options.angle_deg is not None:
+    if not is_incidence:
         angles = [None] * len(spectra)
     else:
         notes.assumed.append("the headings are angles of incidence")
@@ -381,11 +384,15 @@ def _labels(
             "quantity",
             common.QUANTITIES,
         )
-    labels = [stated or common.label_of(heading) or Label("") for heading, _ in columns]
+    labels = [common.label_of(heading) or Label("") for heading, _ in columns]
     labels = [Label("") if label.quantity == "error" else label for label in labels]
     if any(not label.quantity for label in labels):  # one letter among names of samples is a name
         labels = [Label("") if len(heading) == 1 else label
                   for label, (heading, _) in zip(labels, columns, strict=True)]  # fmt: skip
+    labels = [
+        common.agreed_label(path, options, label, heading) or label
+        for label, (heading, _) in zip(labels, columns, strict=True)
+    ]
     decided: dict[str, Label] = {}
     for quantity in dict.fromkeys(label.quantity for label in labels if label.factor is None):
         members = [values for label, (_, values) in zip(labels, columns, strict=True) if label.quantity == quantity]
@@ -419,8 +426,10 @@ def _one(
     steps = np.diff(x)
     if not ((steps >= 0).all() or (steps <= 0).all()):
         raise NacreError(f"{path}: its wavelengths neither ascend nor descend")
-    unit = common.option_unit(path, options) or common.unit_named(x_name)
-    if unit is None or (unit == "nm" and "nm" not in x_name.lower() and "nanomet" not in x_name.lower()):
+    unit = common.unit_named(x_name)
+    is_stated = unit != "nm" or "nm" in x_name.lower() or "nanomet" in x_name.lower()
+    unit = common.agreed_unit(path, options, unit if is_stated else None, x)
+    if unit is None:
         unit = common.assumed_unit(path, x, notes, options, x_name)
     if options.unit is None:
         _check_range(path, x, unit)
