@@ -61,15 +61,16 @@ def renewed(mutant: dict[str, Any]) -> dict[str, Any] | None:
     """Return a mutant of the sources as they are now; None where its line is there no more, or more than once."""
     path = BASE / mutant["file"]
     text = path.read_text(encoding="utf-8") if path.exists() else ""
-    if mutant["after"] == "(gone)" or text == mutant["original"]:
-        return mutant if text == mutant["original"] else None
+    if text == mutant["original"]:
+        return mutant
     lines = text.splitlines(keepends=True)
     found = [i for i, line in enumerate(lines) if line.strip() == mutant["before"]]
     if len(found) > 1:
         found = [i for i in found if i + 1 == mutant["line"]]
     if len(found) != 1:
         return None
-    lines[found[0]] = lines[found[0]].replace(mutant["before"], mutant["after"])
+    after = "" if mutant["after"] == "(gone)" else lines[found[0]].replace(mutant["before"], mutant["after"])
+    lines[found[0]] = after
     return {**mutant, "line": found[0] + 1, "text": "".join(lines)}
 
 
