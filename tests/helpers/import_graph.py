@@ -82,27 +82,27 @@ class ImportGraph:
     def _read_imports(self, module: str) -> set[str]:
         found: set[str] = set()
         package = module if self.files[module].name == "__init__.py" else module.rpartition(".")[0]
-        tree = self.trees[module]
-        for node in ast.walk(tree):
+        nodes = list(ast.walk(self.trees[module]))
+        for node in nodes:
             if isinstance(node, ast.Import):
                 found |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom):
                 base = package.rsplit(".", node.level - 1)[0] if node.level > 1 else package
                 source = ".".join(p for p in ((base if node.level else ""), node.module or "") if p)
                 found |= {self.resolve(source, alias.name) for alias in node.names}
-        return (found | self._strings(tree)) - {module}
+        return (found | self._strings(nodes)) - {module}
 
-    def _strings(self, tree: ast.Module) -> set[str]:
+    def _strings(self, nodes: list[ast.AST]) -> set[str]:
         """Return the modules that a file names in strings, docstrings and anchors apart."""
         ignored = set()
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef) and ast.get_docstring(node):
+        for node in nodes:
+            if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef) and ast.get_docstring(node, clean=False):
                 ignored.add(id(node.body[0].value))  # type: ignore[attr-defined]  # it has a docstring
             elif isinstance(node, ast.Call):
                 called = getattr(node.func, "attr", getattr(node.func, "id", ""))
                 if called in ANCHORS:
                     ignored |= {id(argument) for argument in node.args}
-        texts = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and id(n) not in ignored]
+        texts = [n.value for n in nodes if isinstance(n, ast.Constant) and id(n) not in ignored]
         names = [t.partition(":")[0] for t in texts if isinstance(t, str) and MODULE_NAME.fullmatch(t)]
         return {name for name in names if name in self.files}
 
