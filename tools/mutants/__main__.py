@@ -102,7 +102,9 @@ def main() -> int:
     parser.add_argument("--again", action="store_true", help="try the survivors anew, with sources and tests of now")
     parser.add_argument("--limit", type=float, default=30.0, help="seconds a mutant")
     parser.add_argument("--only", nargs="+", help="the beginnings of the keys of some mutants")
-    parser.add_argument("--tests", nargs="+", default=["tests/"], help="the beginnings of the names of tests' files")
+    parser.add_argument(
+        "--tests", nargs="+", default=["tests/"], help="run all tests of the files whose names begin so"
+    )
     parser.add_argument("--report", action="store_true", help="only write the report")
     options = parser.parse_args()
     if not options.report:

@@ -153,8 +153,8 @@ class Tests:
                 todo += part
             self.words[item.nodeid] = words
 
-    def order(self, package: Package, mutant: dict[str, Any], cost: dict[str, float]) -> list[Any]:
-        """Return the tests to run for a mutant, the most promising ones first."""
+    def order(self, package: Package, mutant: dict[str, Any], cost: dict[str, float], every: bool) -> list[Any]:
+        """Return the tests to run for a mutant, the most promising ones first; all of them, or those that name it."""
         levels = package.levels(mutant["file"], mutant["line"])
         inside = mutant["file"].removeprefix("src/nacre/")
         homes = next(
@@ -174,9 +174,9 @@ class Tests:
             score = of_file[item.nodeid.partition("::")[0]] + self._named(levels, words, 8.0)
             score += 6.0 * ({stem, Path(inside).parent.name} <= words)  # the examples of a docstring
             seconds = cost.get(item.nodeid, UNKNOWN_S) + 5.0 * (item.get_closest_marker("render") is not None)
-            if score > 1.5:
+            if score > 1.5 or every:
                 ranked.append((-score / (0.4 + seconds) ** 0.7, item.nodeid, item))
-        return [item for *_, item in sorted(ranked, key=lambda r: r[:2])[:MOST_TESTS]]
+        return [item for *_, item in sorted(ranked, key=lambda r: r[:2])[: None if every else MOST_TESTS]]
 
     def _named(self, levels: dict[str, int], words: set[str], weight: float) -> float:
         return max((weight / levels[name] for name in levels.keys() & words), default=0.0)

@@ -166,6 +166,7 @@ class Session:
         self.cost: dict[str, float] = kept["cost"]
         self.failed = set(kept["failed"])
         self.fast: list[dict[str, Any]] = []
+        self.every = False  # all collected tests, or those that name a mutant
 
     # in the processes that have the tests
 
@@ -182,7 +183,8 @@ class Session:
         print(f"mutants: {len(self.items)} tests collected, {time.process_time():.0f} s", flush=True)
         plans: dict[str, list[str]] = {}
         for mutant in self.fast:
-            order = [item for item in tests.order(self.package, mutant, self.cost) if item.nodeid not in self.failed]
+            ranked = tests.order(self.package, mutant, self.cost, self.every)
+            order = [item for item in ranked if item.nodeid not in self.failed]
             text = Path(mutant["file"]).read_text(encoding="utf-8")
             name = str(Path(mutant["file"]).resolve())
             found = changed_function(compile(text, name, "exec"), compile(mutant["text"], name, "exec"))
@@ -407,7 +409,7 @@ def main() -> None:
         child = os.fork() if group else 0
         if group and child == 0:
             session = Session(place, limit_s)
-            session.fast = group
+            session.fast, session.every = group, todo["tests"] != ["tests/"]
             compile_anew(set())  # before a test's file calls a kernel
             os._exit(int(pytest.main([*OPTIONS, *files], plugins=[session])))
         if group:
