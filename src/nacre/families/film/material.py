@@ -52,6 +52,10 @@ AZIMUTH_NOTE = (
     "its reflectance depends on the azimuth of the light; pictures and the Bsdf hold the mean over the azimuth, "
     "spectra are exact"
 )
+SCALAR_RIDGES = (
+    "ridges diffract by scalar theory; for Morpho its colours differ by dE00 4 to 18 from Maxwell's equations, which "
+    'ridges.optics = "vector" solves in minutes'
+)
 
 
 def real_extremes(medium: OpticalConstant | AnisotropicConstant, wavelengths_nm: Array) -> tuple[Array, Array]:
@@ -114,6 +118,11 @@ class Film(Polarised):
     def stack(self) -> Stack:
         """The stack at the surface's middle."""
         return self.stack_at(MIDDLE)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The error of scalar ridges, measured on supercells of the Morpho wing (docs/physics/film.md)."""
+        return (SCALAR_RIDGES,) if self.ridges is not None and self.ridges.optics == "scalar" else ()
 
     @property
     def specular_stack(self) -> Stack:
