@@ -16,6 +16,8 @@ from nacre.cli import run
 from nacre.core.errors import RecipeError
 from nacre.light import smooth_weights, srgb_decode, srgb_linear_to_xyz
 from nacre.material.material import Material, load
+from nacre.optimise.image.hologram import make_channel
+from nacre.optimise.task import read_task
 
 RECIPE = {
     "family": "grating", "substrate": {"n": 1.0, "k": 7.0}, "profile": {"shape": "sinusoidal", "depth_nm": 90},
@@ -76,6 +78,19 @@ def test_the_dots_show_the_picture(tmp_path: Path) -> None:
     assert found[0, 1].argmax() == 0 and found[1, 0].argmax() == 1 and found[1, 1].argmax() == 2
     # another lamp shows nothing
     assert seen(load(tmp_path / "out"), 40.0, (2, 3)).max() < 1e-3 * found.max()
+
+
+def test_dots_have_the_colours_of_their_lines(tmp_path: Path) -> None:
+    """An order 0.8 degrees wide is a line of 9 to 12 nm, whose colour is not that of its middle."""
+    task = read_task(target(tmp_path, 0.0))
+    channel = make_channel(task, 0)
+    grid, width = np.arange(380.0, 781.0), np.radians(0.8)
+    bells = np.exp(-0.5 * ((np.sqrt(0.5) - grid / channel.periods_nm[:, None]) / width) ** 2)
+    found, wanted = (
+        part / part.sum(axis=1, keepdims=True)
+        for part in (channel.primaries, bells @ smooth_weights(grid, "D65", "10deg"))
+    )
+    np.testing.assert_allclose(found, wanted, atol=1e-3)
 
 
 def test_two_pictures_take_turns_with_the_lamp(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 Each pixel is three dots side by side, one for each of three wavelengths; two pictures take turns row by row. A dot
 sends one wavelength to the viewer: its wave vector is g = q / lambda, with q the sum over the transverse directions to
 the light and to the viewer. A dot is dimmed by a small lattice turn, which moves its order away from the viewer:
-an order with angular width w falls to a share s at the distance w sqrt(-2 ln s).
+an order with angular width w falls to a share s at the distance w sqrt(-2 ln s) of q from the line of its lattice.
 """
 
 from __future__ import annotations
@@ -107,7 +107,8 @@ def make_channel(task: DesignTask, number: int) -> Channel:
     if not np.all(efficiency > 0.0):
         raise RecipeError(f'{target.key}.geometry = "{target.geometry}": the grating sends no light to the viewer')
     # an order is Gaussian over the wavelength, w times as wide as the period
-    density = _monochromatic(task)
+    assert isinstance(task.material.model, Diffracting)
+    density = _line_colours(task, task.material.model.order_width_rad * periods)
     primaries = density * (efficiency * periods)[:, None]
     shares, reached = _shares(task, target, primaries)
     return Channel(target, turn, length, periods, primaries, shares, reached)
@@ -129,11 +130,12 @@ def _efficiencies(material: Material, light: Array, periods_nm: Array, turn_deg:
     return np.array(found)
 
 
-def _monochromatic(task: DesignTask) -> Array:
-    """Return XYZ `[3, 3]` of light of each wavelength at the lamp's power, for an equal width of wavelengths."""
+def _line_colours(task: DesignTask, widths_nm: Array) -> Array:
+    """Return XYZ `[3, 3]` of Gaussian lines about each wavelength in the lamp's light, for equal power."""
     grid = np.arange(380.0, 781.0, 1.0)
     weights = smooth_weights(grid, task.spec.light.illuminants[0], task.spec.light.observer)
-    return np.stack([np.interp(PRIMARIES_NM, grid, weights[:, k]) for k in range(3)], axis=-1)
+    bells = np.exp(-0.5 * ((grid - np.array(PRIMARIES_NM)[:, None]) / widths_nm[:, None]) ** 2)
+    return np.asarray(bells @ weights / widths_nm[:, None])
 
 
 def _shares(task: DesignTask, target: Target, primaries: Array) -> tuple[Array, Array]:
@@ -159,7 +161,7 @@ def dot_maps(task: DesignTask, channels: Sequence[Channel]) -> tuple[Array, Arra
     least, most = next((p.low, p.high) for p in task.parameters if p.path == TURN)
     for k, channel in enumerate(channels):
         distance = model.order_width_rad * np.sqrt(-2.0 * np.log(np.maximum(channel.shares, DARK)))
-        away = np.degrees(2.0 * np.arcsin(np.clip(0.5 * distance / channel.length, 0.0, 1.0)))
+        away = np.degrees(np.arcsin(np.clip(distance / channel.length, 0.0, 1.0)))
         turned = channel.turn_deg + sign * away.reshape(rows, -1)
         is_out = (turned < least) | (turned > most)
         turned = np.where(is_out, 2.0 * channel.turn_deg - turned, turned)
