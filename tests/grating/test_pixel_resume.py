@@ -30,7 +30,7 @@ def target(tmp_path: Path) -> dict[str, Any]:
         "recipe": {
             "family": "grating", "substrate": "glass", "lattice": {"period_nm": 250},
             "layers": [{"thickness_nm": 100, "material": "air", "shapes": [line]}],
-            "wavelengths": {"min_nm": 400, "max_nm": 700, "step_nm": 100},
+            "wavelengths": {"min_nm": 400, "max_nm": 700, "step_nm": 150},
         },
         "parameters": {"layers[0].thickness_nm": [50, 600]},
         "target": [{"image": str(tmp_path / "photo.png"), "geometry": "specular 0"}],

@@ -6,6 +6,7 @@ The node spacing is halved until the interpolation error, measured at the new no
 from __future__ import annotations
 
 import functools
+import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -17,11 +18,14 @@ from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
 from nacre.material.material import Material
+from nacre.matter.periodic.structure import NotConvergedError
 from nacre.measure.geometry import Geometry
 from nacre.optimise.measurement import evaluation_wavelengths, search_wavelengths, simulate_measurement
 from nacre.optimise.merit import smooth_weights
 from nacre.optimise.parameters import Parameter, values_at
 from nacre.optimise.thin_film.adapter import drawn_factors
+
+logger = logging.getLogger("nacre")
 
 # nodes per parameter, by parameter count
 FIRST_NODES = {1: 17, 2: 9}
@@ -105,12 +109,21 @@ class ColourSampler:
             values = low + (high - low) * points[start : start + BATCH]
             factors = drawn_factors(self.material, self._paths, values, [self.at], self.grid)
             if factors is None:
-                variants = (self._make(dict(zip(self._paths, map(float, row), strict=True))) for row in values)
                 factors = np.stack(
-                    [simulate_measurement(v, [self.at], self.grid, seed=self.seed).factors for v in variants]
+                    [self._factors(dict(zip(self._paths, map(float, row), strict=True))) for row in values]
                 )
             found.append(factors[:, 0] @ self.weights)
         return np.concatenate(found)
+
+    def _factors(self, changes: dict[str, float]) -> Array:
+        """Return factors of one variant; without convergence, with the accuracy of a search."""
+        variant = self._make(changes)
+        try:
+            return simulate_measurement(variant, [self.at], self.grid, seed=self.seed).factors
+        except NotConvergedError as error:
+            logger.warning("%s: %s; it has the accuracy of a search", self.material.context.source, error)
+            rough = variant.at_low_fidelity()
+            return simulate_measurement(rough, [self.at], self.grid, seed=self.seed).factors
 
 
 @dataclass

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import textwrap
 import time
 from collections.abc import Callable
@@ -21,7 +20,6 @@ from nacre.core.html import png_uri, render_page
 from nacre.families.contract import Pixels
 from nacre.light import delta_e_2000, lab_to_xyz, xyz_to_lab
 from nacre.material.material import load
-from nacre.matter.periodic.structure import NotConvergedError
 from nacre.optimise.checkpoint import Checkpointer, unreadable
 from nacre.optimise.evaluation import SEED_OFFSET, TargetResult, as_written
 from nacre.optimise.gamut import colour_chart
@@ -37,12 +35,10 @@ from nacre.plot.style import DPI, data_uri
 if TYPE_CHECKING:
     from nacre.plot import Figure
 
-logger = logging.getLogger("nacre")
-
 REACHED = "reached.png"
 GRID_SHARE = 0.6  # share of a given time limit, after which the palette is not refined further
 CHECKED_PIXELS, CHECKED_SLOW = 256, 4  # pixels in the final evaluation: batched materials, others
-SPLINE_STATED = 1.0  # dE00 of the interpolation, above which the outcome names it
+SPLINE_STATED, CHECK_STATED = 1.0, 0.5  # dE00 of the interpolation and of checked pixels that the outcome names
 MAX_UNREACHABLE = 0.01  # largest unreachable pixel share for a met picture
 CHART_POINTS, CHART_MARKS = 4000, 400  # grid and picture colours in the gamut chart
 
@@ -196,7 +192,8 @@ def _sampler(task: DesignTask, is_final: bool = False) -> ColourSampler:
     light = task.spec.light
     seed = task.spec.search.seed + (SEED_OFFSET if is_final else 0)
     pair = (light.illuminants[0], light.observer)
-    material = as_written(task.material) if is_final else task.material
+    is_few = len(task.parameters) == 1 and isinstance(task.material.model, Pixels)
+    material = as_written(task.material) if is_final or is_few else task.material
     return ColourSampler(material, task.parameters, task.targets[0].geometry, pair, seed, is_final)
 
 
@@ -231,12 +228,7 @@ def _evaluate_pixels(task: DesignTask, picture: PictureDesign) -> dict[str, Any]
     chosen = values[np.random.default_rng(task.spec.search.seed).integers(len(values), size=count)]
     low, high = (np.array([getattr(p, end) for p in task.parameters]) for end in ("low", "high"))
     points, inverse = np.unique((chosen - low) / (high - low), axis=0, return_inverse=True)
-    try:
-        xyz = sampler.xyz(points)
-    except NotConvergedError as error:
-        logger.warning("%s: %s; pixels are checked with the accuracy of the palette", task.context.source, error)
-        xyz = _sampler(task).xyz(points)
-    accurate = np.asarray(xyz_to_lab(xyz, sampler.white))[inverse.reshape(-1)]
+    accurate = np.asarray(xyz_to_lab(sampler.xyz(points), sampler.white))[inverse.reshape(-1)]
     indices = tuple(np.searchsorted(axis, column) for axis, column in zip(picture.grid.axes, chosen.T, strict=True))
     interpolated = np.asarray(xyz_to_lab(picture.grid.xyz[indices], picture.white))
     off = np.asarray(delta_e_2000(accurate, interpolated))
@@ -288,6 +280,10 @@ def in_words(facts: dict[str, Any], tolerance: float, stopped: bool = False) -> 
     head = f"{head}median dE00 {facts['de00_median']:.2f}, 99 % below {facts['de00_99_percent']:.1f}{afar}"
     if facts["de00_of_spline"] > SPLINE_STATED:
         head += f"; interpolation between {facts['nodes']} values of a size: dE00 {facts['de00_of_spline']:.1f}"
+    if facts["checked"]["de00_mean"] > CHECK_STATED:
+        head += "; {pixels} pixels, solved finely, differ from the palette by dE00 {de00_mean:.1f} on average".format(
+            **facts["checked"]
+        )
     if share <= 0.0:
         return f"{head}; every pixel is within {tolerance:g} of a reachable colour"
     return (
