@@ -107,17 +107,17 @@ def solve_elements(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: f
     return OrderSolution(reflected, transmitted, np.inf, system.matrix.shape[0] // 2, "elements")
 
 
-def profile_response(
+def element_response(
     stack: PeriodicStack, k0: float, transverse: Array, size: int, upper: Array, lower: Array
 ) -> Array:  # fmt: skip
-    """Return the response of `order_responses` of a profile, between planes near half its height.
+    """Return the response of `order_responses`, between the faces of sloping lines or near half a profile's height.
 
     A source s adds to the admittance n of a channel at an end: with h = (H_y, -H_x), outward, h = n e - s.
 
     Raises:
         NotConvergedError: the elements are too many.
+        WallsMeetError: walls meet.
     """
-    assert stack.profile is not None
     is_along = stack.cover**2 - transverse[1] ** 2 < ALONG * stack.cover**2
     system = _system_of(stack, k0, transverse, min(size + is_along, len(SIZES) - 1))
     grid, k_y = system.grid, system.k_y
@@ -134,10 +134,9 @@ def profile_response(
         side.y[at] = np.diag([1j * index, 1j / index])
         side.s[at, 1, x], side.s[at, 0, y] = 1j * sign / index, -1j
     electric, source = (np.zeros((total, total), dtype=complex) for _ in range(2))
-    half = 0.5 * stack.profile.depth_nm * k0
-    for e, (at, medium, sign), (x, y), gap in zip(
-        system.solve(sides), ends, own, (grid.high + half, grid.low + half), strict=True
-    ):
+    half = 0.5 * stack.profile.depth_nm * k0 if stack.profile is not None else 0.0
+    found = [side.outward(e) for side, e in zip(sides, system.solve(sides), strict=True)]
+    for e, (at, medium, sign), (x, y), gap in zip(found, ends, own, (grid.high + half, grid.low + half), strict=True):
         index, alpha = medium.real or 1.0, system.alpha[at]
         unit = np.eye(total)
         e_x, e_y = (sign * e[at, 1] + unit[x]) / index, e[at, 0]
@@ -155,13 +154,15 @@ def profile_response(
     return np.asarray(np.linalg.solve(source.T, electric.T).T)
 
 
-def check_elements(stack: PeriodicStack, k0: float) -> None:
-    """Check the smallest elements of a profile.
-
-    Raises:
-        NotConvergedError: they are too many.
-    """
-    _profile_grid(stack, k0, *SIZES[0])
+def has_elements(stack: PeriodicStack, wavelength_nm: float) -> bool:
+    """Whether elements follow a profile or sloping walls: walls do not meet, and elements are not too many."""
+    if stack.profile is None and stack.tilted is None:
+        return False
+    try:
+        _grid(stack, 2.0 * np.pi / wavelength_nm, *SIZES[0])
+    except NotConvergedError:
+        return False
+    return True
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,6 +195,7 @@ class System:
         source = np.zeros((matrix.shape[0], sides[0].s.shape[2]), dtype=complex)
         count = matrix.shape[0] // 2
         for (joint, at), side in zip(self.joints, sides, strict=True):
+            side.enter()
             both = np.concatenate([at, count + at])
             block = np.block([[(joint * side.y[:, i, j]) @ joint.conj().T for j in (0, 1)] for i in (0, 1)])
             matrix = matrix - scipy.sparse.csc_matrix(
@@ -212,7 +214,7 @@ class System:
 def _system_of(stack: PeriodicStack, k0: float, transverse: Array, size: int) -> System:
     degree, layers = SIZES[size]
     alpha_0, k_y = float(transverse[0]), float(transverse[1])
-    grid = (_profile_grid if stack.profile is not None else _wall_grid)(stack, k0, degree, layers)
+    grid = _grid(stack, k0, degree, layers)
     period = stack.cell.period_x * k0
     half = int(np.ceil((stack.reach + DECAY / (BUFFER * period)) * period / (2.0 * np.pi))) + 1
     numbers = np.arange(-half, half + 1) - int(np.round(alpha_0 * period / (2.0 * np.pi)))
@@ -228,19 +230,29 @@ def _system_of(stack: PeriodicStack, k0: float, transverse: Array, size: int) ->
 
 
 class _Side:
-    """Plane waves outside one end: f = y e + s there, through uniform layers; k_y changes sign with z."""
+    """Plane waves outside one end: f = y e + s there, through uniform layers; k_y changes sign with z.
+
+    Until `enter`, y and s are those at the half space.
+    """
 
     def __init__(self, media: list[tuple[float, complex]], alpha: Array, k_y: float, light: Array) -> None:
-        one = np.eye(2)
+        self.layers, self.alpha, self.k_y = media[-2::-1], alpha, k_y
         self.steps: list[tuple[Array, Array, Array, Array]] = []
-        self.y, self.s = np.zeros((len(alpha), 2, 2), dtype=complex), light
-        for k, (thickness, epsilon) in enumerate(reversed(media)):
-            squared = epsilon - alpha**2 - k_y**2
-            gamma = outgoing_root(np.where(np.abs(squared) < 1e-13, 1e-13, squared))
-            away, back = (_flux(epsilon, alpha, k_y, g) for g in (gamma, -gamma))
-            if k == 0:
-                self.y, self.s = away, (back - away) @ light
-                continue
+        away, back, _ = self._fluxes(media[-1][1])
+        self.y, self.s = away, (back - away) @ light
+
+    def _fluxes(self, epsilon: complex) -> tuple[Array, Array, Array]:
+        """Return f / e of the waves that leave and of those that come back, and their k_z."""
+        squared = epsilon - self.alpha**2 - self.k_y**2
+        gamma = outgoing_root(np.where(np.abs(squared) < 1e-13, 1e-13, squared))
+        away, back = (_flux(epsilon, self.alpha, self.k_y, g) for g in (gamma, -gamma))
+        return away, back, gamma
+
+    def enter(self) -> None:
+        """Go on from the half space through the layers to the end."""
+        one = np.eye(2)
+        for thickness, epsilon in self.layers:
+            away, back, gamma = self._fluxes(epsilon)
             decay = np.exp(1j * gamma * thickness)[:, None, None]
             found = np.linalg.solve(back - self.y, np.concatenate([self.y - away, self.s], axis=2))
             share, far = decay * found[:, :, :2], found[:, :, 2:]  # of e at the outer face
@@ -418,6 +430,10 @@ def _carried(x: float, start: Array, end: Array, period: float) -> float:
         return x
     turns = np.floor((x - start[0]) / period) * period
     return float(np.interp(x - turns, np.append(start, start[0] + period), np.append(end, end[0] + period)) + turns)
+
+
+def _grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> Grid:
+    return (_profile_grid if stack.profile is not None else _wall_grid)(stack, k0, degree, layers)
 
 
 def _wall_grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> Grid:

@@ -21,17 +21,17 @@ from numpy.typing import NDArray
 from nacre.matter.periodic.crossed_solver import fourier_response, rectangle_response
 from nacre.matter.periodic.element_solver import oval_response
 from nacre.matter.periodic.lamellar_solver import GRAZING, lamellar_responses
-from nacre.matter.periodic.line_elements import profile_response
+from nacre.matter.periodic.line_elements import element_response
 from nacre.matter.periodic.line_solver import line_response
 from nacre.matter.periodic.scattering_matrix import outgoing_root
-from nacre.matter.periodic.solve import RUNS, line_step, method_of
+from nacre.matter.periodic.solve import RUNS, coarse_method, line_step
 from nacre.matter.periodic.structure import PeriodicStack, transverse_axes
 from nacre.matter.periodic.types import Array
 
 NEAR = 1.2  # orders with a wave number up to this times the index are channels
 FAINT_K = 0.3  # of a substrate whose anomalies lines still show
 LEAST_NODES, EVEN_NODES, MOST_NODES = (6, 8), (8, 8), 40  # along both axes
-EXPENSIVE = "rectangles", "fourier", "ovals", "profile"
+EXPENSIVE = "rectangles", "fourier", "ovals", "profile", "elements"
 TAIL = {True: 2e-3, False: 5e-4}  # largest of the last coefficients, if solutions are expensive and if not
 CHUNK = 2e6  # numbers in the matrices of all directions
 
@@ -121,14 +121,14 @@ def responses(channels: Channels, transverse: Array, step: int = 0) -> Array:
         step: number of the size, as for `solve_coarse`.
     """
     stack, k0, upper, lower = channels.stack, channels.k0, channels.upper, channels.lower
-    method = method_of(stack)
+    method = coarse_method(stack, 2.0 * np.pi / k0)
     if method == "lines":
         step = line_step(stack, step)
     if method == "lines" and step == 0:
         return lamellar_responses(stack, k0, transverse, upper[:, 0], lower[:, 0])
     runs: dict[str, Callable[..., Array]] = {
         "lines": line_response, "rectangles": rectangle_response, "fourier": fourier_response,
-        "ovals": oval_response, "profile": profile_response,
+        "ovals": oval_response, "profile": element_response, "elements": element_response,
     }  # fmt: skip
     run = runs[method]
     size = RUNS[method][1][step - (method == "lines")]

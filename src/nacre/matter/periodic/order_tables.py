@@ -16,7 +16,7 @@ from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
 from nacre.core.jobs import in_workers
 from nacre.core.machine import in_threads
 from nacre.matter.periodic.crossed_solver import box_symmetries
-from nacre.matter.periodic.line_elements import check_elements, solve_elements
+from nacre.matter.periodic.line_elements import has_elements, solve_elements
 from nacre.matter.periodic.order_responses import (
     EVEN_NODES,
     EXPENSIVE,
@@ -33,7 +33,7 @@ from nacre.matter.periodic.order_responses import (
     solved_nodes,
 )
 from nacre.matter.periodic.orders import DESCRIPTION, cached_solution, case_key, packed_solutions, unpacked_solutions
-from nacre.matter.periodic.solve import difference, method_of, size_count, solve_many
+from nacre.matter.periodic.solve import coarse_method, difference, size_count, solve_many
 from nacre.matter.periodic.structure import (
     Cell,
     NotConvergedError,
@@ -52,6 +52,7 @@ FITTED, PROFILE = (91, (1152, 576, 288, 144, 72)), (16, 48)  # nodes from 0 to 9
 MOST_NUMBERS, MOST_WORK = 2.4e7, 2e10  # of the tables, and of the linear systems of all directions, their sizes cubed
 FEW = 12, 16  # nodes of tables whose size follows from an error: larger solutions, fewer of them
 CHECKS = 6  # directions at which the error is estimated
+CHECKED = 2e-3  # tolerance there for sloping walls, which else take most of the time
 BETWEEN, BETWEEN_SEED = 6, 40  # directions at which the error between nodes is found
 BETWEEN_LINES = 48  # plasmons of metal lines fill few directions
 PROBES = 4  # directions that set the size
@@ -130,9 +131,11 @@ def _solved_tables(
 ) -> OrderTables:
     tolerance, largest_error = errors
     stack = stacks[0]
-    method = method_of(stack)
+    method = coarse_method(stack, float(wavelengths_nm[0]))
+    tolerance = CHECKED if tolerance is None and method == "elements" else tolerance
     is_patterned = stack.profile is not None or any(layer.shapes for layer in stack.layers)
-    is_fitted = is_patterned and _has_response(stack, float(wavelengths_nm[0]))
+    # profiles with too many elements have no response
+    is_fitted = is_patterned and (stack.profile is None or has_elements(stack, float(wavelengths_nm[0])))
     if not is_patterned:
         thetas, azimuths = 64, 4
     elif table_error is not None:
@@ -204,16 +207,6 @@ def _solved_tables(
     return replace(made, between=_between(made, stacks, wavelengths_nm, step, is_fitted)) if some else made
 
 
-def _has_response(stack: PeriodicStack, wavelength_nm: float) -> bool:
-    """Whether responses are solved: but for profiles with too many elements, always."""
-    if stack.profile is not None:
-        try:
-            check_elements(stack, 2.0 * np.pi / wavelength_nm)
-        except NotConvergedError:
-            return False
-    return True
-
-
 def _solved(wave: tuple[PeriodicStack, float, float, float], step: int, is_fitted: bool) -> OrderSolution:
     """Return the solution of one wave by the method of the table."""
     stack, wavelength, theta, phi = wave
@@ -281,7 +274,7 @@ def _fitted_rows(
 ) -> list[list[Row]]:  # fmt: skip
     """Return the rows of each wavelength and angle, from responses at few wave vectors."""
     channels = [channels_of(*case) for case in zip(stacks, wavelengths_nm.tolist(), strict=True)]
-    tail = TAIL[method_of(stacks[0]) in EXPENSIVE]
+    tail = TAIL[coarse_method(stacks[0], float(wavelengths_nm[0])) in EXPENSIVE]
     symmetries = _symmetries(stacks[0], images)
 
     def solved(item: tuple[int, Counts, Array]) -> dict[str, Array]:
@@ -368,7 +361,8 @@ def _between(
     """Return the largest error of an efficiency, in reflection and transmission, at a few midpoints of four nodes."""
     thetas, azimuths = tables.mirror.shape[0] - 1, tables.mirror.shape[1] - 1
     generator = np.random.default_rng(BETWEEN_SEED)
-    count = BETWEEN_LINES if method_of(stacks[0]) == "lines" and step == 0 else BETWEEN
+    is_fast = coarse_method(stacks[0], float(wavelengths_nm[0])) == "lines" and step == 0
+    count = BETWEEN_LINES if is_fast else BETWEEN
     t = generator.integers(0, max(int(0.85 * thetas), 1), count)  # to 76 degrees
     a = generator.integers(0, azimuths, count)
     cases = [(k, w) for k in range(count) for w in range(0, len(wavelengths_nm), max(len(wavelengths_nm) // 2, 1))]
@@ -459,7 +453,7 @@ def _symmetries(stack: PeriodicStack, images: list[tuple[int, int]]) -> list[Sym
     """
     found = [(np.diag(signs).astype(float), False) for signs in images]
     cell, shapes = stack.cell, [shape for layer in stack.layers for shape, _ in layer.shapes]
-    if cell.period_y is not None or stack.profile is not None:
+    if cell.period_y is not None or stack.profile is not None or stack.tilted is not None:
         found.append((-np.eye(2), True))
     if cell.period_y is None:
         return found

@@ -16,7 +16,7 @@ from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicSta
 from nacre.matter.periodic.types import Array
 from nacre.matter.stack.solve import mueller
 
-VERSION = 15  # raised when numbers change, which invalidates stored solutions
+VERSION = 16  # raised when numbers change, which invalidates stored solutions
 DESCRIPTION = "orders of the periodic structure"  # in announcements of long work
 MIN_STORED_S = 0.2  # solutions that take less are not stored
 
@@ -136,7 +136,8 @@ def solutions_of(cases: list[Case], tolerance: float | None, is_coarse: bool) ->
     if not is_coarse:
         return in_workers(finest, cases, description=DESCRIPTION)
     # lines are solved faster in one call
-    size = max(len(cases), 1) if all(method_of(case[0]) == "lines" for case in cases) else 1
+    is_fast = all(method_of(case[0]) == "lines" and case[0].tilted is None for case in cases)
+    size = max(len(cases), 1) if is_fast else 1
     parts = [cases[k : k + size] for k in range(0, len(cases), size)]
     return [each for part in in_workers(_coarse, parts, description=DESCRIPTION) for each in part]
 

@@ -16,7 +16,7 @@ from nacre.matter.periodic.edge_singularities import singular_exponent
 from nacre.matter.periodic.element_solver import ELEMENT_STEPS, has_curved_metal, smallest_element, solve_ovals
 from nacre.matter.periodic.lamellar_solver import is_patterned, solve_lamellar
 from nacre.matter.periodic.line_basis import GRADING
-from nacre.matter.periodic.line_elements import SIZES, solve_elements
+from nacre.matter.periodic.line_elements import SIZES, has_elements, solve_elements
 from nacre.matter.periodic.line_solver import solve_lines, solve_profile
 from nacre.matter.periodic.structure import NotConvergedError, OrderSolution, PeriodicStack, Rectangle
 from nacre.matter.periodic.types import Array
@@ -57,6 +57,11 @@ def method_of(stack: PeriodicStack) -> str:
     along_x = {x for b in boxes for x in (b.x_0, b.x_1)}
     along_y = {y for b in boxes for y in (b.y_0, b.y_1)}
     return "rectangles" if max(len(along_x), len(along_y)) <= MAX_WALLS else "fourier"
+
+
+def coarse_method(stack: PeriodicStack, wavelength_nm: float) -> str:
+    """Return the solver of coarse solutions: elements follow sloping walls, where slices cost more."""
+    return "elements" if stack.tilted is not None and has_elements(stack, wavelength_nm) else method_of(stack)
 
 
 RUNS: dict[str, tuple[Callable[..., OrderSolution], tuple[Any, ...]]] = {
@@ -102,7 +107,7 @@ def solve_many(cases: Sequence[tuple[PeriodicStack, float, float, float]], step:
     Adjacent layers of metal lines need the second finer size, since walls of one end on metal of the other.
     """
     waves = [(stack, 2.0 * np.pi / wavelength, theta, phi) for stack, wavelength, theta, phi in cases]
-    methods = [method_of(case[0]) for case in waves]
+    methods = [coarse_method(case[0], case[1]) for case in cases]
     sizes_of = [
         line_step(case[0], step) if method == "lines" else step for case, method in zip(cases, methods, strict=True)
     ]
