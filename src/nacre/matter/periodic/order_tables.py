@@ -53,8 +53,8 @@ MOST_NUMBERS, MOST_WORK = 2.4e7, 2e10  # of the tables, and of the linear system
 FEW = 12, 16  # nodes of tables whose size follows from an error: larger solutions, fewer of them
 CHECKS = 6  # directions at which the error is estimated
 CHECKED = 2e-3  # tolerance there for sloping walls, which else take most of the time
-BETWEEN, BETWEEN_SEED = 6, 40  # directions at which the error between nodes is found
-BETWEEN_LINES = 48  # plasmons of metal lines fill few directions
+BETWEEN, BETWEEN_SEED = 6, 40  # directions at which the error between nodes is found by solutions
+BETWEEN_MANY = 48  # where solutions or responses take little time: anomalies and plasmons fill few directions
 PROBES = 4  # directions that set the size
 MIN_STORED_S = 2.0  # tables that take less are not stored
 MIN_PART_S = 0.5  # nor are their parts
@@ -102,7 +102,8 @@ def order_tables(
     """
     keys = [case_key(stack, wavelength) for stack, wavelength in zip(stacks, wavelengths_nm.tolist(), strict=True)]
     key = (
-        "tables-" + hashlib.sha256(repr((keys, tolerance, table_error, largest_error)).encode()).hexdigest()
+        "tables-"
+        + hashlib.sha256(repr((keys, tolerance, table_error, largest_error, BETWEEN_MANY)).encode()).hexdigest()
         if all(keys)
         else ""
     )
@@ -174,8 +175,10 @@ def _solved_tables(
             pairs = zip(better, solve_many([wave(*case) for case in probes], step), strict=True)
             if max(difference(*pair) for pair in pairs) <= table_error:
                 break
+    fits: dict[int, Fit] = {}
     if is_fitted:
-        rows = _fitted_rows(stacks, wavelengths_nm, images, step, (angles, grid), parts)
+        fits = _fits(stacks, wavelengths_nm, images, step, parts)
+        rows = _fitted_rows(fits, stacks, angles, grid)
     else:
 
         def solved(item: tuple[float, int]) -> dict[str, Array]:
@@ -204,7 +207,7 @@ def _solved_tables(
         np.delete(transmitted, zero, axis=2), np.array([n for n in every if any(n)], dtype=np.int64).reshape(-1, 2),
         lattice, error, 0.0,
     )  # fmt: skip
-    return replace(made, between=_between(made, stacks, wavelengths_nm, step, is_fitted)) if some else made
+    return replace(made, between=_between(made, stacks, wavelengths_nm, step, fits)) if some else made
 
 
 def _solved(wave: tuple[PeriodicStack, float, float, float], step: int, is_fitted: bool) -> OrderSolution:
@@ -268,11 +271,10 @@ class Parts:
 Row = list[tuple[NDArray[np.int64], Array]]  # of both sides: numbers `[order, 2]` and efficiencies `[..., order]`
 
 
-def _fitted_rows(
-    stacks: list[PeriodicStack], wavelengths_nm: Array, images: list[tuple[int, int]], step: int,
-    directions: tuple[Array, Array], parts: Parts,
-) -> list[list[Row]]:  # fmt: skip
-    """Return the rows of each wavelength and angle, from responses at few wave vectors."""
+def _fits(
+    stacks: list[PeriodicStack], wavelengths_nm: Array, images: list[tuple[int, int]], step: int, parts: Parts
+) -> dict[int, Fit]:
+    """Return the fit of each wavelength to responses at few wave vectors."""
     channels = [channels_of(*case) for case in zip(stacks, wavelengths_nm.tolist(), strict=True)]
     tail = TAIL[coarse_method(stacks[0], float(wavelengths_nm[0])) in EXPENSIVE]
     symmetries = _symmetries(stacks[0], images)
@@ -301,7 +303,11 @@ def _fitted_rows(
             fits[w] = fitted(channels[w], values, counts, symmetries)
         more = {w: next_counts(fits[w], tail) for w in left}
         left = {w: counts for w, counts in more.items() if counts is not None}
-    angles, azimuths = directions
+    return fits
+
+
+def _fitted_rows(fits: dict[int, Fit], stacks: list[PeriodicStack], angles: Array, azimuths: Array) -> list[list[Row]]:
+    """Return the rows of each wavelength and angle."""
     across = -np.stack([np.cos(azimuths), np.sin(azimuths)], axis=1)
 
     def row(case: tuple[int, int]) -> Row:
@@ -356,35 +362,45 @@ def _whole(
 
 
 def _between(
-    tables: OrderTables, stacks: list[PeriodicStack], wavelengths_nm: Array, step: int, is_fitted: bool
+    tables: OrderTables, stacks: list[PeriodicStack], wavelengths_nm: Array, step: int, fits: dict[int, Fit]
 ) -> float:  # fmt: skip
-    """Return the largest error of an efficiency, in reflection and transmission, at a few midpoints of four nodes."""
+    """Return the largest error of an efficiency, in reflection and transmission, at midpoints of four nodes.
+
+    Solutions are compared at some; for expensive ones, responses at more.
+    """
     thetas, azimuths = tables.mirror.shape[0] - 1, tables.mirror.shape[1] - 1
     generator = np.random.default_rng(BETWEEN_SEED)
-    is_fast = coarse_method(stacks[0], float(wavelengths_nm[0])) == "lines" and step == 0
-    count = BETWEEN_LINES if is_fast else BETWEEN
+    is_quick = coarse_method(stacks[0], float(wavelengths_nm[0])) == "lines" and step == 0
+    solved_count = BETWEEN_MANY if is_quick else BETWEEN
+    count = BETWEEN_MANY if is_quick or fits else BETWEEN
     t = generator.integers(0, max(int(0.85 * thetas), 1), count)  # to 76 degrees
     a = generator.integers(0, azimuths, count)
-    cases = [(k, w) for k in range(count) for w in range(0, len(wavelengths_nm), max(len(wavelengths_nm) // 2, 1))]
+    theta, phi = 0.5 * np.pi * (t + 0.5) / thetas, 2.0 * np.pi * (a + 0.5) / azimuths + np.pi
+    waves = range(0, len(wavelengths_nm), max(len(wavelengths_nm) // 2, 1))
 
     def solved(case: tuple[int, int]) -> OrderSolution:
         k, w = case
-        theta, phi = 0.5 * np.pi * (t[k] + 0.5) / thetas, 2.0 * np.pi * (a[k] + 0.5) / azimuths + np.pi
-        return _solved((stacks[w], float(wavelengths_nm[w]), float(theta), float(phi)), step, is_fitted)
+        return _solved((stacks[w], float(wavelengths_nm[w]), float(theta[k]), float(phi[k])), step, bool(fits))
 
-    worst = 0.0
-    solutions = in_workers(solved, cases)
-    for side, zero, other in (
-        ("reflected", tables.mirror, tables.reflected),
-        ("transmitted", tables.passed, tables.transmitted),
-    ):
-        mirror, others = (
-            np.mean([part[t + i, a + j] for i in (0, 1) for j in (0, 1)], axis=0) for part in (zero, other)
+    cases = [(k, w) for k in range(solved_count) for w in waves]
+    truths: list[tuple[int, int, Row]] = []
+    for (k, w), solution in zip(cases, in_workers(solved, cases), strict=True):
+        truths.append(
+            (k, w, [(s.numbers, s.efficiency.mean(axis=1)) for s in (solution.reflected, solution.transmitted)])
         )
-        for (k, w), solution in zip(cases, solutions, strict=True):
-            found = getattr(solution, side)
+    for w in waves if count > solved_count else ():
+        transverse = stacks[w].cover * np.sin(theta)[:, None] * np.stack([np.cos(phi), np.sin(phi)], axis=1)
+        sides = fits[w].orders(transverse[solved_count:])
+        truths += [(solved_count + i, w, [(n, e[i]) for n, e in sides]) for i in range(count - solved_count)]
+    pairs = ((tables.mirror, tables.reflected), (tables.passed, tables.transmitted))
+    corners = [
+        [np.mean([part[t + i, a + j] for i in (0, 1) for j in (0, 1)], axis=0) for part in pair] for pair in pairs
+    ]
+    worst = 0.0
+    for k, w, truth in truths:
+        for (numbers, values), (mirror, others) in zip(truth, corners, strict=True):
             exact = np.zeros(len(tables.orders))
-            for number, value in zip(found.numbers, found.efficiency.mean(axis=1), strict=True):
+            for number, value in zip(numbers, values, strict=True):
                 if not number.any():
                     worst = max(worst, abs(float(value - mirror[k, w])))
                 exact[np.all(tables.orders == number, axis=1)] = value
