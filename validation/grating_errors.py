@@ -66,11 +66,11 @@ CONSERVATION = {
     "elements across the plane": (
         100, ("profiles of dielectric", "sloping lines of dielectric"), ("profiles of metal", "sloping lines of metal"),
     ),
-    "elements along rectangles": (50, ("rectangles of dielectric",), ("rectangles of metal",)),
+    "elements along rectangles": (100, ("rectangles of dielectric",), ("rectangles of metal",)),
     "Fourier series": (
-        30, ("discs of dielectric", "rings of dielectric"), ("ellipses of dielectric", "rings of dielectric"),
+        70, ("discs of dielectric", "rings of dielectric"), ("ellipses of dielectric", "rings of dielectric"),
     ),
-    "elements with curved sides": (20, ("discs of dielectric",), ("discs of metal", "ellipses of metal")),
+    "elements with curved sides": (30, ("discs of dielectric",), ("discs of metal", "ellipses of metal")),
 }  # fmt: skip
 ROUNDING = 1e-8
 

@@ -62,7 +62,7 @@ def test_every_public_name_of_nacre_is_listed() -> None:
             assert f"nacre.{name}" in page
 
 
-@pytest.mark.parametrize("family", ["film", "glass", "metasurface", "pearl", "relief"])
+@pytest.mark.parametrize("family", ["film", "glass", "grating", "metasurface", "pearl", "relief"])
 def test_a_page_on_physics_links_to_every_script_that_checks_it(family: str) -> None:
     page = (DOCS / "physics" / f"{family}.md").read_text(encoding="utf-8")
     linked = set(re.findall(r"\.\./reports/validation\.md#(\w+)", page))

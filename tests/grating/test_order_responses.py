@@ -340,3 +340,15 @@ def test_a_table_of_a_profile_states_the_error_beside_anomalies(monkeypatch: pyt
         solution = solve_elements(stacks[0], 2.0 * np.pi / wavelength, t, a + np.pi, 0).reflected
         exact.append(float(solution.efficiency[np.all(solution.numbers == 0, axis=1)].mean()))
     assert table.between > np.abs(seen - exact).max()
+
+
+def test_orders_by_fourier_series_are_reciprocal() -> None:
+    disc = {"shape": "disc", "material": {"n": 2.2}, "diameter_nm": 300}
+    stack, k0 = stack_of(disc, 560.0, {"n": 1.5}, {"period_nm": 620}), 2.0 * np.pi / 560.0
+    one = solve_fourier(stack, k0, 0.6, 0.4, 3).reflected
+    at = int(np.flatnonzero((one.numbers == [-1, 0]).all(axis=1))[0])
+    back = -one.direction[at]
+    other = solve_fourier(stack, k0, np.arccos(-back[2]), np.arctan2(back[1], back[0]), 3).reflected
+    to = int(np.flatnonzero((other.numbers == [-1, 0]).all(axis=1))[0])
+    assert one.efficiency[at].sum() > 1e-3
+    assert other.efficiency[to].sum() == pytest.approx(one.efficiency[at].sum(), rel=1e-8)

@@ -464,7 +464,11 @@ def fourier_response(
 def _circle(
     stack: PeriodicStack, k0: float, transverse: Array, radius: int, least: Array | None = None
 ) -> tuple[Array, list[tuple[_Keyed, ...] | None]]:  # fmt: skip
-    """Return the orders in a circle, `least` among them, and the shapes of each layer."""
+    """Return the orders in a circle, `least` among them, and the shapes of each layer.
+
+    Its centre is the order nearest to the normal: light that comes back along an order then has the same waves, so that
+    both are reciprocal.
+    """
     cell = stack.cell
     assert cell.period_y is not None
     # orders within a circle of wave numbers, as many as a square lattice of this cell would have in that radius
@@ -480,6 +484,7 @@ def _circle(
     if least is not None:
         reach = max(reach, float(np.hypot(*cell.wave_vectors(least).T).max()))
     orders = orders[np.hypot(vectors[:, 0], vectors[:, 1]) <= reach * (1.0 + 1e-9)]
+    orders = orders - np.rint(transverse * k0 @ np.linalg.inv(cell.wave_vectors(np.eye(2)))).astype(int)
     check_unknowns(2 * len(orders) // (1 + sum(np.abs(transverse) < SYMMETRIC)), k0)
     return orders, [_regions(layer) if is_patterned(layer) else None for layer in stack.layers]
 
