@@ -50,6 +50,16 @@ def test_the_walk_brings_what_transfer_brings(base: dict[str, Any]) -> None:
     assert np.median(error / values) < 0.02
 
 
+def test_a_base_has_the_wavelengths_that_are_asked() -> None:
+    titanium = {"family": "film", "substrate": "Ti", "surface": {"roughness": 0.2, "compensate": True}}
+    material = nacre.material({**GLASS, "base": {"recipe": titanium}})
+    for wavelengths in (LAM, LAM[1:]):
+        lobe = material.bsdf(wavelengths).lobes[0]
+        assert isinstance(lobe, Layered) and lobe.base_lobes
+        for each in lobe.base_lobes:
+            np.testing.assert_array_equal(each.wavelengths_nm, wavelengths)
+
+
 @pytest.mark.render
 def test_a_rough_face_that_gives_back_hidden_light_is_reciprocal() -> None:
     """Compensation is the default; what returns follows the loss on both sides, so no direction is favoured."""

@@ -348,6 +348,18 @@ def test_light_to_flakes_is_lost_in_the_coat_above_as_beer_and_lambert_say() -> 
     assert math.exp(-depth_nm / 480.0) < ratio < math.exp(-depth_nm / 640.0)  # where the eye sees most light
 
 
+def test_diffuse_light_too_is_lost_in_the_coat_above_down_and_up() -> None:
+    k, thickness_um = 1e-3, 30.0
+    coats = [{"resin": {"n": 1.5, "k": each}, "thickness_um": thickness_um} for each in (0.0, k)]
+    below = recipe()
+    clear, dark = (
+        scene(below | {"strata": [coat, *below["strata"]]}).diffuse()[0][0][1].flakes[0].luminance for coat in coats
+    )
+    ratio = dark[0, -1] / clear[0, -1]  # level flakes: light along the normal
+    depth_nm = 4.0 * math.pi * k * 2.0 * thickness_um * 1e3
+    assert math.exp(-depth_nm / 480.0) < ratio < math.exp(-depth_nm / 640.0)  # where the eye sees most light
+
+
 def test_graininess_is_seen_in_diffuse_light_without_an_angle_of_the_lamp() -> None:
     assert TextureQuantity.named("graininess", "texture").theta_deg == 0.0
     assert TextureQuantity.named("area_75", "texture").theta_deg == 75.0
