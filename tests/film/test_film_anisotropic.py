@@ -292,6 +292,24 @@ def test_films_without_azimuth_hold_the_mean_with_a_warning(keys: dict[str, Any]
     assert bsdf.provenance["warnings"] and not any(lobe.kind.startswith("aligned") for lobe in bsdf.lobes)
 
 
+def test_the_mean_over_the_azimuth_is_that_of_spectra() -> None:
+    """An absorbing film that transmits has to be averaged over a whole turn."""
+    medium = {"principal": [{"n": 1.4, "k": 0.05}, 2.8, 1.6], "euler_deg": [25, 10, 10]}
+    thickness = {"formula": "250 + 10*u", "min": 250, "max": 260}
+    varying, level = (
+        film(substrate=1.33, layers=[{"material": medium, "thickness_nm": d}], wavelengths={"step_nm": 100.0})
+        for d in (thickness, 250.0)
+    )
+    bsdf, theta_deg = varying.bsdf(), 65.0
+    seen = bsdf.specular(np.radians(theta_deg), np.zeros(2))
+    azimuths = np.arange(12) * 30.0
+    found = [nacre.spectrum(level, theta_deg, bsdf.wavelengths_nm, azimuth_deg=a) for a in azimuths]
+    mean = np.mean([one.specular_reflectance[0] for one in found], axis=0)
+    np.testing.assert_allclose(seen.reflectance, mean, atol=5e-3)  # 4e-3 between azimuths, 1e-3 between angles
+    mean = np.mean([one.specular_transmittance[0] for one in found], axis=0)
+    np.testing.assert_allclose(seen.transmittance, mean, atol=5e-3)
+
+
 def test_a_film_whose_colour_hardly_depends_on_the_azimuth_has_the_mean() -> None:
     medium = {"principal": [1.500, 1.501, 1.502], "euler_deg": [25, 40, 10]}
     bsdf = film(
