@@ -297,7 +297,7 @@ def test_the_mean_over_the_azimuth_is_that_of_spectra() -> None:
     medium = {"principal": [{"n": 1.4, "k": 0.05}, 2.8, 1.6], "euler_deg": [25, 10, 10]}
     thickness = {"formula": "250 + 10*u", "min": 250, "max": 260}
     varying, level = (
-        film(substrate=1.33, layers=[{"material": medium, "thickness_nm": d}], wavelengths={"step_nm": 100.0})
+        film(substrate=1.33, layers=[{"material": medium, "thickness_nm": d}], wavelengths={"step_nm": 50.0})
         for d in (thickness, 250.0)
     )
     bsdf, theta_deg = varying.bsdf(), 65.0
