@@ -350,7 +350,8 @@ def agreed_label(
     given = option_label(path, options)
     if given is None or stated is None or stated.quantity not in RATIOS:
         return given or stated
-    if given.quantity != stated.quantity or None is not given.factor != stated.factor is not None:
+    factors = {given.factor, stated.factor} - {None}
+    if given.quantity != stated.quantity or len(factors) > 1:
         said = f'quantity = "{options.quantity}", but the file states {stated.quantity} ("{words.strip()[:40]}")'
         if notes is None:
             raise NacreError(f"{path}: {said}; correct one of them")
