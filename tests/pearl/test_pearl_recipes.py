@@ -194,6 +194,8 @@ def test_the_platelet_figure_has_its_arrays():
     data = material(GOOD).figure_data("platelet", angles_deg=np.linspace(0, 90, 10))
     assert data["reflectance"].shape == (1, 10, len(data["wavelengths_nm"]))
     assert np.abs(data["reflectance"] + data["transmittance"] - 1).max() < 1e-9
+    angles = material(GOOD).figure_data("platelet")["angles_deg"]
+    assert angles[0] == 0.0 and angles[-1] == 90.0 and np.all(np.diff(angles) > 0.0)
 
 
 @pytest.mark.render

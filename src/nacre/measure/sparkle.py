@@ -340,7 +340,7 @@ def _candidates(area: Area) -> float:
     return total
 
 
-def sparkle_patch(areas: Sequence[Area], pixels: Pixels, seed: int = 0) -> tuple[Sparkle, Array]:
+def sparkle_patch(areas: Sequence[Area], pixels: Pixels, seed: int) -> tuple[Sparkle, Array]:
     """Return sparkle from an image of drawn flakes, with standard errors over its blocks (jackknife), and the image.
 
     The areas lie beside each other as stripes of the field. The field is made smaller where more than a few million
