@@ -125,6 +125,14 @@ def test_an_urbach_edge_stands_beside_a_formula() -> None:
     np.testing.assert_allclose(found, [1.5 + 0.1j, 1.5 + 0.1j / np.e], rtol=1e-12)
 
 
+def test_a_cody_lorentz_band_absorbs_above_its_gap_alone() -> None:
+    band = {"amplitude_ev": 60.0, "resonance_ev": 4.0, "damping_ev": 1.8}
+    keys = {"gap_ev": 2.0, "transition_ev": 1.0, "oscillators": [band], "eps_inf": 1.5}
+    found = index({"cody_lorentz": keys}).n_complex(EV_NM / np.array([3.5, 2.5, 1.9, 1.6])).imag
+    assert found[0] > found[1] > 0.0
+    np.testing.assert_allclose(found[2:], 0.0, atol=1e-12)
+
+
 def test_terms_add_to_one_permittivity() -> None:
     peak = {"oscillators": [{"amplitude": 0.5, "resonance_ev": 2.2, "width_ev": 0.3}]}
     found = index({"gaussian": peak, "drude": {"plasma_ev": 2.0, "eps_inf": 3.0}}).n_complex([550.0]) ** 2
