@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import shutil
+from itertools import pairwise
 
 import h5py
 import numpy as np
@@ -14,8 +15,24 @@ import nacre
 from nacre.cli import run
 from nacre.core.errors import MaterialRangeError
 from nacre.families.metasurface.material import MetasurfaceWarning
+from nacre.families.metasurface.species import place
 from nacre.families.metasurface.tmatrix import tmatrix_file
-from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, as_blocks, gain, mirror_signs
+from nacre.families.metasurface.tmatrix.axisymmetric import (
+    AxialTMatrices,
+    TabulatedBody,
+    as_blocks,
+    gain,
+    mirror_signs,
+)
+from nacre.families.metasurface.tmatrix.particle_on_stack import (
+    AZIMUTHAL_ORDERS,
+    ParticleOnStack,
+    amplitude,
+    pattern_change,
+    probe_pattern,
+    probes,
+)
+from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.families.metasurface.tmatrix.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
 
 SAME = 1e-10  # of spheres by way of a file, against Mie
@@ -116,9 +133,6 @@ def test_scattering_of_a_disc_is_that_of_treams(tmp_path):
     """Far fields of a lone disc at slanted light: phases between m, l and polarisations all count."""
     treams = pytest.importorskip("treams.io").treams
 
-    from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack, amplitude
-    from nacre.families.metasurface.tmatrix.substrate import Substrate
-
     known = read_tmatrices(_disc())
     lam = known.wavelengths_nm[0]
     alone = ParticleOnStack(
@@ -182,6 +196,23 @@ packing = 0.2
 """
 
 
+def test_the_stated_truncation_is_the_next_step_of_the_multipole_series():
+    """The steps of a sphere of silicon beside glass fall geometrically: each predicts the next one."""
+    body = TabulatedBody(_spheres((500.0,), radius=60.0, lmax=7), 60.0, 120.0, 60.0, "x")
+    below = Substrate(500.0, np.array([1.0, 1.5], complex), np.array([]))
+
+    def pattern(order):
+        particle = place(body, below, 2.0, order).particle
+        top = min(AZIMUTHAL_ORDERS, order)
+        alone = ParticleOnStack(below, particle.centre_nm, particle.t_matrix, top)
+        return probe_pattern(alone.dressed, *probes(below, particle.centre_nm, order, top))
+
+    patterns = [pattern(order) for order in range(4, 8)]
+    steps = [pattern_change(a, b) for a, b in pairwise(patterns)]
+    for order, step in zip((4, 5, 6), steps, strict=True):
+        np.testing.assert_allclose(place(body, below, 2.0, order).change, step, rtol=0.2)
+
+
 @pytest.mark.parametrize(
     ("substrate", "more", "coverage", "around"),
     [("glass", "", 0.03, 1.0), ("Si", "gap_nm = 3", 0.03, 1.0), ("glass", "depth_nm = 20", 0.002, 1.5)],
@@ -232,8 +263,6 @@ def test_a_file_of_too_few_multipoles_of_a_sphere_says_so(tmp_path, caplog):
 
 def _pattern_over_glass(lmax, views):
     """d sigma/d Omega of the sphere at four incidences, `[pol out, view, pol, light, azimuth]`."""
-    from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack, amplitude
-    from nacre.families.metasurface.tmatrix.substrate import Substrate
 
     one = ParticleOnStack(
         Substrate(500.0, np.array([1.0, 1.5], complex), np.array([])), 62.0,
@@ -517,8 +546,6 @@ def _saved(treams, matrix, path):
 def test_a_particle_with_corners_is_taken_as_the_mean_over_its_turns(tmp_path, capsys):
     """Against the code that made it: extinction at slanted light, averaged over turns about the normal."""
     treams = pytest.importorskip("treams.io").treams
-    from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack
-    from nacre.families.metasurface.tmatrix.substrate import Substrate
 
     matrix = _cluster(treams, 4)
     _saved(treams, matrix, tmp_path / "square.tmat.h5")
