@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 from PIL import Image
 
 from nacre import light
+from nacre.cli import run
 from nacre.core.errors import NacreError, RecipeError
 from nacre.families.film.spec import FilmSpec, leading_layer
 from nacre.material.material import Material, load, material
@@ -191,3 +193,15 @@ def test_the_map_of_a_film_is_over_the_layer_whose_ten_percent_change_the_colour
     assert change("Cr", 0.1) > change("SiO2", 0.1)
     assert change("SiO2", 0.9) > change("Cr", 0.9)
     assert leading_layer(film().model) == 1
+
+
+def test_the_layer_sheet_states_index_and_quarter_waves(tmp_path: Path) -> None:
+    recipe = tmp_path / "coat.toml"
+    recipe.write_text(
+        'family = "film"\nsubstrate = {n = 1.52}\nlayers = [{material = {n = 1.38}, thickness_nm = 100}]\n'
+    )
+    assert run(["fabricate", str(recipe), "--to", "sheet", "-o", str(tmp_path / "s.csv")]) == 0
+    lines = (tmp_path / "s.csv").read_text(encoding="utf-8").splitlines()
+    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    assert [float(row["n_550nm"]) for row in rows] == [pytest.approx(n, abs=1e-3) for n in (1.0, 1.38, 1.52)]
+    assert float(rows[1]["quarter_waves"]) == pytest.approx(4 * 1.38 * 100 / 550, rel=1e-6)
