@@ -59,6 +59,13 @@ def test_a_recipe_inside_keeps_its_own_numbers() -> None:
     assert np.abs(shown(None) - shown(0.7)).max() > 0.01
 
 
+def test_a_number_that_the_recipe_lacks_cannot_be_set() -> None:
+    made = nacre.material(_film("100*drain", numbers={"drain": 1.0}))
+    assert made.vary({"numbers.drain": 2.0}).parameters["numbers.drain"] == 2.0
+    with pytest.raises(RecipeError, match=r"numbers\.dran"):
+        made.vary({"numbers.dran": 2.0})
+
+
 @pytest.mark.parametrize(
     ("formula", "words"),
     [
