@@ -327,7 +327,7 @@ def _scattered(bsdf: Bsdf, half_deg: Array, difference_deg: Array, evaluate: Eva
     """Return pi f at phi_d = 90 degrees, with both directions above the surface, `[step, wavelength]`."""
     across = np.full(len(half_deg), 0.5 * np.pi)
     wi, wo = from_half_difference(np.radians(half_deg), np.radians(difference_deg), across)
-    return np.pi * (evaluate or evaluate_at_own)(bsdf, wi, wo)
+    return np.pi * np.maximum((evaluate or evaluate_at_own)(bsdf, wi, wo), 0.0)
 
 
 def _bright(tracks: dict[str, Track], nm: Array) -> dict[str, Track]:

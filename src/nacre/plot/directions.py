@@ -142,7 +142,7 @@ def _colours(bsdf: Bsdf, wi: Array, wo: Array, illuminant: str, evaluate: Evalua
     """Return XYZ `[pair, 3]`, by `evaluate` if given."""
     if evaluate is None:
         return tristimulus_of_pairs(bsdf, wi, wo, illuminant)
-    return light.spectrum_to_xyz(evaluate(wi, wo), bsdf.wavelengths_nm, illuminant)
+    return light.spectrum_to_xyz(np.maximum(evaluate(wi, wo), 0.0), bsdf.wavelengths_nm, illuminant)
 
 
 def _rgb(xyz: Array, illuminant: str) -> Array:

@@ -173,11 +173,7 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
     _check_quantity(path, measurements, options)
     remarks = [CUT] if _is_cut(path) else []
     return [
-        replace(
-            each,
-            format=entry.id,
-            assumed=(*dict.fromkeys([*each.assumed, *remarks, *_unused(each, options)]),),
-        )
+        replace(each, format=entry.id, assumed=tuple(dict.fromkeys([*each.assumed, *remarks, *_unused(each, options)])))
         for each in measurements
     ]
 
