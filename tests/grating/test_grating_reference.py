@@ -9,6 +9,10 @@ import pytest
 from helpers_grating import differences, recipe, reference
 
 import nacre
+from nacre.core.machine import single_threaded_blas
+from nacre.matter.periodic.crossed_solver import RECTANGLE_STEPS, solve_rectangles
+from nacre.matter.periodic.solve import total
+from nacre.matter.periodic.structure import Cell, OrderSolution, PatternLayer, PeriodicStack, Rectangle
 
 QUICK = (3, 8, 12, 18, 26, 39, 44, 53, 57, 90, 120)
 BARS = {  # the issue's, by class: clear, metal
@@ -118,6 +122,38 @@ def test_two_periods_keep_energy() -> None:
         found = nacre.orders(made, 25.0, 33.0, [500.0])
         total = np.nansum(found.reflected, axis=2) + np.nansum(found.transmitted, axis=2)
         assert np.abs(total - 1.0).max() <= 1e-8
+
+
+@pytest.mark.parametrize(("theta", "phi"), [(0.0, 0.3), (0.5, 0.0)])
+def test_rectangles_at_their_smallest_size_keep_energy_and_are_reciprocal(theta: float, phi: float) -> None:
+    """Light in mirror planes, where the functions split into parities."""
+    box, k0 = Rectangle(-150.0, 150.0, -120.0, 120.0), 2.0 * np.pi / 450.0
+    stack = PeriodicStack(Cell(700.0, 600.0), 1.0, (PatternLayer(130.0, 1.0, ((box, 9.0 + 0j),)),), 1.5 + 0j)
+
+    def solved(theta: float, phi: float) -> OrderSolution:
+        with single_threaded_blas():
+            return solve_rectangles(stack, k0, theta, phi, RECTANGLE_STEPS[0])
+
+    there = solved(theta, phi)
+    assert total(there) == pytest.approx(np.ones(2), abs=1e-8)
+    side = there.reflected
+    at = max(np.flatnonzero(side.numbers.any(axis=1)), key=lambda k: side.efficiency[k].sum())
+    x, y, z = -side.direction[at]
+    back = solved(np.arccos(-z), np.arctan2(y, x)).reflected
+    to = int(np.flatnonzero((back.numbers == side.numbers[at]).all(axis=1))[0])
+    assert side.efficiency[at].sum() > 1e-3
+    assert back.efficiency[to].sum() == pytest.approx(side.efficiency[at].sum(), abs=1e-8)
+
+
+@pytest.mark.parametrize(("angle_deg", "wavelength_nm"), [(0.0, 500.0), (0.0, 750.0), (30.0, 750.0)])
+def test_orders_along_the_surface_carry_no_energy(angle_deg: float, wavelength_nm: float) -> None:
+    line = {"shape": "line", "material": {"n": 2.2}, "width_nm": 200}
+    common = {"family": "grating", "substrate": {"n": 1.5}, "lattice": {"period_nm": 500}}
+    for shape in (line, line | {"sidewall_deg": 80}):
+        made = common | {"layers": [{"thickness_nm": 100, "material": "air", "shapes": [shape]}]}
+        found = nacre.orders(made, angle_deg, 0.0, [wavelength_nm])
+        sums = np.nansum(found.reflected, axis=2) + np.nansum(found.transmitted, axis=2)
+        assert sums == pytest.approx(np.ones((1, 1, 2)), abs=1e-8)
 
 
 @pytest.mark.parametrize("profile", [None, "sinusoidal"])

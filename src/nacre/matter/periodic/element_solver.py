@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from nacre.matter.periodic.crossed_solver import Answer, joined_answers
 from nacre.matter.periodic.element_mesh import ElementMesh, Elements, Oval, edge_count, element_mesh, side_distance
-from nacre.matter.periodic.lamellar_solver import GRAZING, is_patterned
+from nacre.matter.periodic.lamellar_solver import is_patterned
 from nacre.matter.periodic.scattering_matrix import Modes, Slab, outgoing_root, respond, scatter, slab
 from nacre.matter.periodic.structure import (
     NORMAL,
@@ -149,7 +149,7 @@ class _Basis:
             held: orders, by number, that have a constant admittance instead, and its value.
         """
         rest = epsilon - self.squared / k0**2
-        gamma = outgoing_root(np.where(np.abs(rest) < GRAZING, GRAZING, rest))
+        gamma = outgoing_root(rest)
         admittance = np.where(self.is_p, epsilon / gamma, gamma)
         if held is not None:
             both = np.concatenate([held[0], len(self.numbers) + held[0]])

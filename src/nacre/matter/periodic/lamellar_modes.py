@@ -85,8 +85,8 @@ def layer_modes(found: LineModes, k_y: float) -> Modes:
     """Return the layer's modes for one wave number along the lines, in units of k0."""
     size = len(found.alpha)
     lse_kappa, lsm_kappa = _off_zero(found.lse_squared), _off_zero(found.lsm_squared)
-    lse_gamma = outgoing_root(_off_zero(lse_kappa - k_y**2))
-    lsm_gamma = outgoing_root(_off_zero(lsm_kappa - k_y**2))
+    lse_gamma = outgoing_root(lse_kappa - k_y**2)
+    lsm_gamma = outgoing_root(lsm_kappa - k_y**2)
     mixed_e = k_y * found.potential / lsm_kappa
     admittance = lsm_gamma / lsm_kappa
     mixed_h = found.alpha[:, None] * k_y * found.lse / lse_gamma

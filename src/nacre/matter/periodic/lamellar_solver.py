@@ -25,6 +25,7 @@ from nacre.matter.periodic.lamellar_states import Blocks, Space, blocks, bubble_
 from nacre.matter.periodic.line_basis import LineMesh, assemble, gauss_values, regions
 from nacre.matter.periodic.scattering_matrix import outgoing_root, scatter, uniform_modes
 from nacre.matter.periodic.structure import (
+    GRAZING,
     OrderSet,
     OrderSolution,
     PatternLayer,
@@ -39,7 +40,6 @@ from nacre.matter.periodic.structure import (
 from nacre.matter.periodic.types import Array
 
 Case = tuple[PeriodicStack, float, float, float]
-GRAZING = 1e-13  # least square of k_z / k0
 FINENESS = 18.0  # plane waves to each side, per period or per wavelength, whichever is shorter
 RESOLUTION = 0.09  # plane waves to each side over (degree + 1)^2 / length; both truncation errors cancel most
 CHUNK = 5e5  # numbers in one matrix of all cases
@@ -283,7 +283,7 @@ def _space(mesh: LineMesh, half: int, length: Array, alpha_0: Array) -> Space:
 def _admittance(epsilon: Array, alpha: Array, k_y: Array) -> Blocks:
     """Return f / e `[2][2][case, wave]` of plane waves that go up."""
     squared = epsilon[:, None] - alpha**2 - k_y**2
-    gamma = outgoing_root(np.where(np.abs(squared) < GRAZING, GRAZING, squared))
+    gamma = outgoing_root(squared)
     mixed = alpha * k_y / gamma
     return [[(epsilon[:, None] - k_y**2) / gamma, mixed], [mixed, (epsilon[:, None] - alpha**2) / gamma]]
 

@@ -225,9 +225,9 @@ def line_basis(mesh: LineMesh, alpha_0: float, reach: float) -> LineBasis:
     numbers, alpha = all_numbers[rank][:size], all_alpha[rank][:size]
     waves, flat_waves = plane_waves(mesh, alpha[:resolved], phase)
     waves = np.linalg.solve(mass, waves)
-    continuous = _orthonormal(np.hstack([waves, modes[:, resolved:]]), mass)
+    continuous = _orthonormal(waves, modes[:, resolved:], mass)
     root = np.sqrt(squared[resolved:]) * np.where(alpha[resolved:] < 0, -1.0, 1.0)
-    discontinuous = _orthonormal(np.hstack([flat_waves, slope @ modes[:, resolved:] / (1j * root)]), None)
+    discontinuous = _orthonormal(flat_waves, slope @ modes[:, resolved:] / (1j * root), np.eye(size))
     alpha = np.concatenate([alpha[:resolved], root])
     return LineBasis(mesh, numbers, alpha, continuous, discontinuous, phase, resolved)
 
@@ -250,11 +250,19 @@ def plane_waves(mesh: LineMesh, alpha: Array, phase: complex) -> tuple[Array, Ar
     return np.delete(smooth, last, axis=0) * scale, np.vstack(flat) * scale
 
 
-def _orthonormal(vectors: Array, mass: Array | None) -> Array:
-    """Orthonormalise the columns in the order given."""
-    gram = vectors.conj().T @ (vectors if mass is None else mass @ vectors)
-    lower = np.linalg.cholesky(gram)
-    return np.asarray(scipy.linalg.solve_triangular(lower, vectors.conj().T, lower=True).conj().T)
+def _orthonormal(waves: Array, others: Array, mass: Array) -> Array:
+    """Orthonormalise plane waves, and then other functions beside them, each by the smallest change (Loewdin).
+
+    Unlike Gram and Schmidt's, this change treats waves that are mirror images alike, so that the functions of both
+    parities (`parity_axis`) contain the orders, and so that light along an order meets the same functions.
+    """
+    waves = _nearest(waves, mass)
+    return np.hstack([waves, _nearest(others - waves @ (waves.conj().T @ (mass @ others)), mass)])
+
+
+def _nearest(vectors: Array, mass: Array) -> Array:
+    values, turn = np.linalg.eigh(vectors.conj().T @ (mass @ vectors))
+    return np.asarray(vectors @ ((turn / np.sqrt(values)) @ turn.conj().T))
 
 
 @dataclass(frozen=True, eq=False)

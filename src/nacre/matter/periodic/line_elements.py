@@ -244,7 +244,7 @@ class _Side:
     def _fluxes(self, epsilon: complex) -> tuple[Array, Array, Array]:
         """Return f / e of the waves that leave and of those that come back, and their k_z."""
         squared = epsilon - self.alpha**2 - self.k_y**2
-        gamma = outgoing_root(np.where(np.abs(squared) < 1e-13, 1e-13, squared))
+        gamma = outgoing_root(squared)
         away, back = (_flux(epsilon, self.alpha, self.k_y, g) for g in (gamma, -gamma))
         return away, back, gamma
 

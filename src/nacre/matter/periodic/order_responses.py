@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from nacre.matter.periodic.crossed_solver import fourier_response, rectangle_response
 from nacre.matter.periodic.element_solver import oval_response
-from nacre.matter.periodic.lamellar_solver import GRAZING, lamellar_responses
+from nacre.matter.periodic.lamellar_solver import lamellar_responses
 from nacre.matter.periodic.line_elements import element_response
 from nacre.matter.periodic.line_solver import line_response
 from nacre.matter.periodic.scattering_matrix import outgoing_root
 from nacre.matter.periodic.solve import RUNS, coarse_method, line_step
-from nacre.matter.periodic.structure import PeriodicStack, transverse_axes
+from nacre.matter.periodic.structure import GRAZING, PeriodicStack, transverse_axes
 from nacre.matter.periodic.types import Array
 
 NEAR = 1.2  # orders with a wave number up to this times the index are channels
@@ -248,7 +248,7 @@ def _admittance(waves: Array, index: complex) -> tuple[Array, Array, Array]:
     """Return f / e (xx, xy, yy) `[direction, order]` of waves `[direction, order, 2]` that leave."""
     alpha, beta = waves[..., 0], waves[..., 1]
     squared = index**2 - alpha**2 - beta**2
-    gamma = outgoing_root(np.where(np.abs(squared) < GRAZING, GRAZING, squared))
+    gamma = outgoing_root(squared)
     return (index**2 - beta**2) / gamma, alpha * beta / gamma, (index**2 - alpha**2) / gamma
 
 

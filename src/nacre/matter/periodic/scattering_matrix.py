@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 import scipy.linalg
 
+from nacre.matter.periodic.structure import GRAZING
 from nacre.matter.periodic.types import Array
 
 Solver = Callable[[Array], Array]
@@ -45,8 +46,8 @@ class Modes:
 
 
 def outgoing_root(squared: Array) -> Array:
-    """Return the root that decays or carries energy upward."""
-    gamma = np.sqrt(np.asarray(squared, dtype=complex))
+    """Return the root that decays or carries energy upward; along the surface, it decays slowly."""
+    gamma = np.sqrt(np.where(np.abs(squared) < GRAZING, -GRAZING, squared).astype(complex))
     return np.where(gamma.imag < 0.0, -gamma, gamma)
 
 
@@ -63,8 +64,7 @@ def uniform_modes(
         kept: which of the plane waves have a component E_x (and H_y), and E_y (and H_x); default: all.
         held: numbers of plane waves that have a constant admittance instead, and its value.
     """
-    squared = epsilon - alpha**2 - beta**2
-    gamma = outgoing_root(np.where(np.abs(squared) < 1e-13, 1e-13, squared))
+    gamma = outgoing_root(epsilon - alpha**2 - beta**2)
     size = len(alpha)
     with_x, with_y = kept if kept is not None else (np.arange(size), np.arange(size))
     xx, xy = (-alpha * beta / gamma)[:, None], (-(epsilon - alpha**2) / gamma)[:, None]

@@ -16,6 +16,8 @@ from nacre.matter.periodic.types import Array
 MAX_UNKNOWNS = 1500  # of one system: some ten seconds
 NORMAL = 1e-14  # smaller transverse wave numbers are zero
 CLEAR_K = 1e-6  # a substrate with a smaller k transmits orders
+LEAST_ELEVATION = 4e-7  # angle between light and the surface, below which k_z loses its digits; it is taken as this
+GRAZING = 1e-13  # least square of k_z / k0 of an order; other waves along the surface carry no energy
 
 
 @dataclass(frozen=True)
@@ -195,7 +197,8 @@ def check_unknowns(count: int, k0: float) -> None:
 
 def incident_wave(stack: PeriodicStack, theta_rad: float, phi_rad: float) -> tuple[Array, float, Array]:
     """Return the transverse wave vector over k0 `[2]`, k_z / k0, and (E_x, E_y) `[2, in]` of unit s and p waves."""
-    sine, cosine = np.sin(theta_rad), np.cos(theta_rad)
+    theta = min(theta_rad, 0.5 * np.pi - LEAST_ELEVATION)
+    sine, cosine = np.sin(theta), np.cos(theta)
     c, s = np.cos(phi_rad), np.sin(phi_rad)
     transverse = stack.cover * sine * np.array([c, s])
     transverse[np.abs(transverse) < NORMAL] = 0.0
@@ -209,7 +212,7 @@ def propagating(stack: PeriodicStack, k0: float, transverse: Array, index: float
     top = [int(np.ceil((index + np.hypot(*transverse)) * k0 / (2.0 * np.pi) * p)) for p in spans]
     grid = np.stack(np.meshgrid(*[np.arange(-t, t + 1) for t in top], indexing="ij"), axis=-1).reshape(-1, 2)
     found = transverse + cell.wave_vectors(grid) / k0
-    keep = np.sum(found**2, axis=1) < index**2
+    keep = index**2 - np.sum(found**2, axis=1) > GRAZING
     return grid[keep], found[keep]
 
 
