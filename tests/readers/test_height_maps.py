@@ -335,6 +335,22 @@ def test_a_matrix_without_a_head_asks_for_unit_and_pitch(tmp_path: Path) -> None
     np.testing.assert_allclose(found.data["height_um"], map_um * 1e-3, atol=1e-7)
 
 
+STATED = {
+    "nm": ("nanoscope", "wsxm", "netcdf", "sur", "topostats"), "um": ("opdx", "xyz"), "mm": ("tmd",),
+    "m": ("sdf", "sdf binary", "gwyddion-text", "gwy", "x3p", "zygo", "al3d", "ibw", "jpk"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("stated", "name"), [(unit, name) for unit, names in STATED.items() for name in names])
+def test_a_unit_that_contradicts_the_file_is_refused(tmp_path: Path, stated: str, name: str) -> None:
+    path = stored(tmp_path, name)
+    (found,) = open_file(path, ReadOptions(unit=stated))
+    np.testing.assert_allclose(found.data["height_um"], heights(), rtol=2e-5, atol=1e-8)
+    with pytest.raises(NacreError) as caught:
+        open_file(path, ReadOptions(unit="pm"))
+    assert '"pm"' in str(caught.value) and len(str(caught.value).splitlines()) == 1
+
+
 def test_a_unit_that_is_no_length_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.gwy"
     path.write_bytes(gwy("V"))

@@ -12,7 +12,7 @@ import numpy as np
 
 from nacre.core.errors import NacreError
 from nacre.readers.headings import DIMENSIONS, SPECTRAL_QUANTITIES, Meaning, meanings, mentions, polarisation_word
-from nacre.readers.measurement import AmbiguousFileError, ReadOptions
+from nacre.readers.measurement import AmbiguousFileError, ReadOptions, contradiction
 from nacre.readers.text_table import TableFile, TextTable, parse_tables, read_tables
 from nacre.readers.units import UNITS, Floats, in_range, likely_unit, normal, parse_unit, spectral_units, to_nm
 
@@ -131,9 +131,7 @@ class Columns:
         each = [_in_nm(self, column, options) for column in found]
         given = parse_unit(options.unit or "")
         if given is not None and not any(_may_have(column, given) for column in found):
-            raise NacreError(
-                f'{self.path}: unit = "{given}", but the file states "{found[0].heading}"; correct one of them'
-            )
+            raise contradiction(self.path, "unit", given, found[0].heading)
         for column, values in zip(found[1:], each[1:]):
             if not np.allclose(values, each[0], rtol=SAME_WAVELENGTH, equal_nan=True):
                 raise NacreError(

@@ -95,6 +95,11 @@ class AmbiguousFileError(NacreError):
         self.choices = choices
 
 
+def contradiction(path: Path, key: str, given: str, stated: str) -> NacreError:
+    """Return the error for an option that contradicts the file."""
+    return NacreError(f'{path}: {key} = "{given}", but the file states "{stated}"; correct one of them')
+
+
 # The beginning of a file, from which its format is recognised.
 
 # images, documents and archives whose first bytes may be printable

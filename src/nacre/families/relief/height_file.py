@@ -111,6 +111,7 @@ class HeightOptions:
             raise RecipeError(f"{context.source}: {key} is missing; {path.name} does not state it{choices}") from None
         except NacreError as error:
             reason = str(error).removeprefix(f"{path}: ")
+            reason = f"height_{reason}" if reason.startswith("unit = ") else reason
             raise context.fail("heights", self.name, reason) from None
         own = found.metadata["pitch_um"]
         if pitch is not None and not np.allclose(pitch, own, rtol=1e-3):

@@ -65,6 +65,7 @@ def read_al3d(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the depth image; its rows are padded to multiples of 8 bytes."""
     data = path.read_bytes()
     tags = _tags(data)
+    surface.check_unit(path, options, "m")
     columns, rows = int(tags["Cols"]), int(tags["Rows"])
     raw = surface.array(data, "<f4", (rows, columns + columns % 2), int(tags["DepthImageOffset"]))[:, :columns]
     marker = float(tags.get("InvalidPixelValue", "nan"))
@@ -113,6 +114,7 @@ def read_sur(path: Path, options: ReadOptions) -> list[Measurement]:
     factors = [surface.length_um(unit) for unit in units]
     if None in factors:
         raise NacreError(f"{path}: its axes are in {', '.join(units)}; heights and positions are lengths")
+    surface.check_unit(path, options, units[2])
     x, y, z = (float(f or 0.0) for f in factors)
     heights *= step_z * z * (-1.0 if inversion in (1, 2, 3) else 1.0)
     heights = heights[:, ::-1] if inversion == 2 else heights[::-1] if inversion == 3 else heights
@@ -169,7 +171,8 @@ def read_keyence(path: Path, options: ReadOptions) -> list[Measurement]:
                 raise ValueError(f"{MEMBER} is larger than {MAX_BYTES >> 30} GiB")
             data = archive.read(MEMBER)
     if not data.startswith(PLAIN):
-        return [_csv(path, surface.decoded(data))]
+        return [_csv(path, surface.decoded(data), options)]
+    surface.check_unit(path, options, "pm")
     offsets = struct.unpack_from("<9I", data, OFFSETS)
     x, y, z = struct.unpack_from("<3I", data, offsets[0] + LATERAL)
     maps = []
@@ -183,7 +186,7 @@ def read_keyence(path: Path, options: ReadOptions) -> list[Measurement]:
     return surface.chosen(path, maps, [], options)
 
 
-def _csv(path: Path, text: str) -> Measurement:
+def _csv(path: Path, text: str, options: ReadOptions) -> Measurement:
     """Read the matrix below its name; the head gives nm per point and the unit."""
     lines = text.lstrip("\ufeff").splitlines()
     mark = next((m for m in ("\t", ";") if m in lines[0]), ",")
@@ -196,7 +199,9 @@ def _csv(path: Path, text: str) -> Measurement:
     if not calibration:
         raise ValueError("its head lacks the values of XY Calibration")
     lateral = surface.length_um((calibration[1] if len(calibration) > 1 else "").split("/")[0])
-    vertical = surface.length_um(next((value[0] for key, value in keys.items() if key == "unit"), ""))
+    unit = keys.get("unit", [""])[0]
+    vertical = surface.length_um(unit)
+    surface.check_unit(path, options, unit)
     if lateral is None or vertical is None:
         raise ValueError("its head lacks the unit of XY Calibration or of the heights")
     cells = [[c for c in row if c] for row in rows if len(row) > 1 and _is_number(row[0])]
@@ -349,6 +354,7 @@ def read_opdx(path: Path, options: ReadOptions) -> list[Measurement]:
         if factor is None:
             others.append(f'"{name}" in {unit}')
             continue
+        surface.check_unit(path, options, unit)
         pitch = []
         for axis, count in ((2, columns), (1, rows)):
             extent, symbol = found[f"{prefix}/Dimension{axis}Extent"]
@@ -390,6 +396,7 @@ def read_wyko(path: Path, options: ReadOptions) -> list[Measurement]:
         found = TEXT.match(text)
         is_nm = found is not None and found[1] != "0"
         factor = 1.0 if is_nm else fields["Wavelength"] / fields.get("Mult", 1.0)
+    surface.check_unit(path, options, "nm")
     step = fields["Pixel_size"] * 1e3
     pitch = step, step * fields.get("Aspect", 1.0)
     others = [f'"{name}"' for name in arrays if name not in HEIGHTS]
@@ -466,6 +473,7 @@ def read_tmd(path: Path, options: ReadOptions) -> list[Measurement]:
     data = path.read_bytes()
     start = data.index(b"\0", 32) + 1
     columns, rows, width, height, _, _ = TMD_HEAD.unpack_from(data, start)
+    surface.check_unit(path, options, "mm")
     raw = surface.array(data, "<f4", (rows, columns), start + TMD_HEAD.size)
     return [surface.height_map(path, raw.astype(float) * 1e3, (width / columns * 1e3, height / rows * 1e3))]
 
@@ -487,6 +495,7 @@ def sniff_sdf(head: FileHead) -> float:
 def read_sdf(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; scales are in m."""
     data = path.read_bytes().lstrip()
+    surface.check_unit(path, options, "m")
     values, fields = _sdf_binary(data) if data[:1] == b"b" else _sdf_ascii(data, path)
     scale = [float(str(fields[name]).replace(",", ".")) for name in ("Xscale", "Yscale", "Zscale")]
     if int(fields.get("Compression", 0)) != 0:
@@ -577,6 +586,7 @@ def read_x3p(path: Path, options: ReadOptions) -> list[Measurement]:
 
         if value("Record1/FeatureType") not in ("SUR",):
             raise NacreError(f"{path}: is a {value('Record1/FeatureType')}, no surface; heights are a map")
+        surface.check_unit(path, options, "m")
         columns, rows = (int(value(f"Record3/MatrixDimension/Size{axis}")) for axis in "XY")
         check_shape((rows, columns))
         steps = [float(value(f"Record1/Axes/C{axis}/Increment", "1" if axis == "Z" else None)) for axis in "XYZ"]
@@ -625,6 +635,7 @@ def read_zygo(path: Path, options: ReadOptions) -> list[Measurement]:
     (lateral_m,) = struct.unpack_from(">f", data, ZYGO_LATERAL)
     (resolution,) = struct.unpack_from(">h", data, RESOLUTION)
     (sign,) = struct.unpack_from(">h", data, SIGN)
+    surface.check_unit(path, options, "m")
     raw = array(data, ">i4", (rows, columns), head_bytes + 2 * width * height * buckets)
     heights = raw.astype(float)
     heights[raw >= HOLE] = np.nan
@@ -672,6 +683,7 @@ def read_zygo_text(path: Path, options: ReadOptions) -> list[Measurement]:
         if options.unit is None:
             assumed = ["heights are in um, the unit of Zygo's XYZ format 1"]
     else:
+        surface.check_unit(path, options, "m")
         turn = PHASES[int(lines[RESOLUTION_LINE].split()[0])]
         scale = optics[ZYGO_TEXT_SCALE] * optics[OBLIQUITY] * optics[WAVELENGTH] / turn * 1e6
         heights = _phase(path, lines[ends[1] + 1 : ends[2]], (rows, columns)) * scale
@@ -727,26 +739,27 @@ def read_datx(path: Path, options: ReadOptions) -> list[Measurement]:
     with opened(path) as file:
         for group in GROUPS:
             for name in sorted(file[group]) if group in file else ():
-                surface = dataset(file, f"{group}/{name}")
-                if surface is not None and surface.ndim == 2:
-                    maps.append(_map(path, surface, name, options))
+                stored = dataset(file, f"{group}/{name}")
+                if stored is not None and stored.ndim == 2:
+                    maps.append(_map(path, stored, name, options))
     return chosen(path, maps, [], options)
 
 
-def _map(path: Path, surface: Any, name: str, options: ReadOptions) -> Measurement:
-    heights = np.asarray(surface[()], dtype=float)
-    if "No Data" in surface.attrs:
-        heights[heights == float(_scalar(surface.attrs, "No Data"))] = np.nan
-    unit = text_of(_scalar(surface.attrs, "Unit"))
+def _map(path: Path, stored: Any, name: str, options: ReadOptions) -> Measurement:
+    heights = np.asarray(stored[()], dtype=float)
+    if "No Data" in stored.attrs:
+        heights[heights == float(_scalar(stored.attrs, "No Data"))] = np.nan
+    unit = text_of(_scalar(stored.attrs, "Unit"))
+    surface.check_unit(path, options, "m" if unit.lower() in ("fringes", "waves") else unit)
     factor = length_um(unit)
     if unit.lower() in ("fringes", "waves"):
         factor = 1e6 * float(
-            _scalar(surface.attrs, "Wavelength")
-            * (_scalar(surface.attrs, "Interferometric Scale Factor") if unit.lower() == "fringes" else 1.0)
-            * (_scalar(surface.attrs, "Obliquity Factor") if unit.lower() == "fringes" else 1.0)
+            _scalar(stored.attrs, "Wavelength")
+            * (_scalar(stored.attrs, "Interferometric Scale Factor") if unit.lower() == "fringes" else 1.0)
+            * (_scalar(stored.attrs, "Obliquity Factor") if unit.lower() == "fringes" else 1.0)
         )
     if factor is None:
         raise NacreError(f"{path}: its surface is in {unit[:20]}; heights are lengths")
-    steps = [float(np.ravel(_scalar(surface.attrs, f"{axis} Converter")[-1])[1]) * 1e6 for axis in "XY"]
+    steps = [float(np.ravel(_scalar(stored.attrs, f"{axis} Converter")[-1])[1]) * 1e6 for axis in "XY"]
     pitch = (steps[0], steps[1]) if min(steps) > 0 else asked_pitch(path, options)
     return height_map(path, heights * factor, pitch, "" if name.startswith("{") else name)

@@ -21,6 +21,7 @@ from nacre.readers.heights.surface import (
     asked_unit,
     check_end,
     check_shape,
+    check_unit,
     chosen,
     decoded,
     height_map,
@@ -61,8 +62,8 @@ def _sections(data: bytes) -> list[tuple[str, Section]]:
     return found
 
 
-def _scale_um(image: Section, scanner: Mapping[str, str], bits: int) -> float | None:
-    """Return um per integer, or None if the channel holds no lengths.
+def _scale_um(image: Section, scanner: Mapping[str, str], bits: int) -> tuple[float, str] | None:
+    """Return um per integer and the unit in the file, or None if the channel holds no lengths.
 
     The full range of the integers is the hard value of the Z scale, times the sensitivity that it names.
     """
@@ -82,7 +83,7 @@ def _scale_um(image: Section, scanner: Mapping[str, str], bits: int) -> float | 
         per_lsb *= float(value[1])
         unit = value[2].split("/")[0].strip() if "/" in value[2] else ""
     factor = length_um(unit) if unit else None
-    return None if factor is None else per_lsb * factor
+    return None if factor is None else (per_lsb * factor, unit)
 
 
 def _size_um(image: Section, scan: Mapping[str, str]) -> tuple[float, float]:
@@ -133,12 +134,13 @@ def read_nanoscope(path: Path, options: ReadOptions) -> list[Measurement]:
         if scale is None:
             others.append(f'"{channel}"')
             continue
+        check_unit(path, options, scale[1])
         width, height = _size_um(image, merged)
         raw = array(data, "<i4" if held == 4 else "<i2", (rows, columns), int(image["data offset"]))
         label = channel if direction in ("", "Trace") else f"{channel} ({direction})"
         aspect = _aspect(image)
         pitch = width / columns, (height if height != width or aspect == 1.0 else height / aspect) / rows
-        maps.append(height_map(path, raw[::-1] * scale, pitch, label, {"date": merged.get("date", "")}))
+        maps.append(height_map(path, raw[::-1] * scale[0], pitch, label, {"date": merged.get("date", "")}))
     left = tuple(f"channel {name}: no height" for name in others)
     return [replace(one, left_out=left) for one in chosen(path, maps, others, options)]
 
@@ -187,6 +189,7 @@ def read_wsxm(path: Path, options: ReadOptions) -> list[Measurement]:
     unit = length_um(amplitude[1]) if len(amplitude) > 1 else None
     if unit is None:
         raise NacreError(f"{path}: holds no heights: its Z amplitude is {fields['Z Amplitude']}")
+    check_unit(path, options, amplitude[1])
     scale = unit
     if kind in ("short", "integer"):
         span = float(np.ptp(raw))
@@ -210,6 +213,7 @@ def _matrix(path: Path, text: str, options: ReadOptions) -> Measurement:
             rows.append(line)
     heights = surface.matrix(rows, path)
     amplitude = fields.get("Z Amplitude", "").split()
+    check_unit(path, options, amplitude[1] if len(amplitude) > 1 else "")
     unit = (length_um(amplitude[1]) if len(amplitude) > 1 else None) or asked_unit(path, options, "heights")
     width = quantity_um(fields["X Amplitude"])
     pitch = width / heights.shape[1], quantity_um(fields.get("Y Amplitude", fields["X Amplitude"])) / len(rows)
@@ -267,6 +271,7 @@ def read_jpk(path: Path, options: ReadOptions) -> list[Measurement]:
                 if slot is None or factor is None or _tag(page, slot + TYPE) != "LinearScaling":
                     others.append(f'"{name}" in {unit or "no unit"}')
                     continue
+                check_unit(path, options, unit)
                 raw = page.asarray().astype(float)
                 values = (raw * float(_tag(page, slot + FACTOR)) + float(_tag(page, slot + OFFSET, 0.0))) * factor
                 values = values if _tag(page, REFLECT, _tag(first, REFLECT, 0)) else values[::-1]
@@ -333,6 +338,7 @@ def read_ibw(path: Path, options: ReadOptions) -> list[Measurement]:
         if not is_length or (unit_z and vertical is None):
             others.append(f'"{name}"')
             continue
+        check_unit(path, options, unit_z)
         factor = asked_unit(path, options) if vertical is None else vertical
         apart = asked_pitch(path, options) if pitch is None else pitch
         maps.append(height_map(path, values[k][::-1].astype(float) * factor, apart, name))
@@ -368,6 +374,7 @@ def read_topostats(path: Path, options: ReadOptions) -> list[Measurement]:
         name, image = next(((n, d) for n in TOPOSTATS_IMAGES if (d := dataset(file, n)) is not None), ("", None))
         if scale is None or image is None or image.ndim != 2:
             raise ValueError("it holds no image with pixel_to_nm_scaling")
+        check_unit(path, options, "nm")
         pitch = float(np.ravel(scale[()])[0]) * 1e-3
         heights = np.asarray(image[()], dtype=float) * 1e-3
     left = [other for other in TOPOSTATS_IMAGES if other != name]
@@ -408,6 +415,7 @@ def read_netcdf(path: Path, options: ReadOptions) -> list[Measurement]:
             if factor is None:
                 others.append(f'"{name}" in {unit}')
                 continue
+            check_unit(path, options, unit)
             is_x_first = variable.dimensions[0].lower().startswith("x")
             values = np.array(variable[:], dtype=float) * factor
             axes = [variable.dimensions[k] for k in ((0, 1) if is_x_first else (1, 0))]
@@ -470,6 +478,7 @@ def read_bcr(path: Path, options: ReadOptions) -> list[Measurement]:
     units = [length_um(keys.get(f"{axis}unit", "nm")) for axis in "xyz"]
     if None in units:
         raise NacreError(f"{path}: its axes are in {', '.join(keys.get(f'{a}unit', 'nm') for a in 'xyz')}, no lengths")
+    check_unit(path, options, keys.get("zunit", "nm"))
     x, y, z = (float(unit or 0.0) for unit in units)
     pitch = float(keys["xlength"]) * x / shape[1], float(keys["ylength"]) * y / shape[0]
     scale = float(keys.get("bit2nm", 1.0)) if kind == "i2" else 1.0
@@ -557,6 +566,7 @@ def _length(path: Path, unit: str) -> float:
 def _factor(path: Path, keys: dict[str, str], options: ReadOptions) -> float:
     """Return um per value."""
     unit = keys.get("z-unit") or keys.get("unit data")
+    check_unit(path, options, unit or ("nm" if "bit2nm" in keys else ""))
     if unit:
         is_scaled = keys.get("datascaleneeded", "no").lower() == "yes"
         return _length(path, unit) * (float(keys.get("scale data", 1.0)) if is_scaled else 1.0)
@@ -653,6 +663,8 @@ def read_gwy(path: Path, options: ReadOptions) -> list[Measurement]:
         if units[1] and surface.length_um(units[1]) is None:
             others.append(f'"{name}" in {units[1]}')
             continue
+        if all(units):
+            check_unit(path, options, units[1])
         lateral, vertical = (surface.length_um(u) if u else surface.asked_unit(path, options) for u in units)
         if lateral is None or vertical is None:
             others.append(f'"{name}" over {units[0]}')
@@ -715,6 +727,7 @@ def read_gwyddion_text(path: Path, options: ReadOptions) -> list[Measurement]:
         if factor is None:
             others.append(f'"{name}" in {unit}')
             continue
+        check_unit(path, options, unit)
         pitch = width / values.shape[1], height / len(rows)
         left = [f"channel {other}" for other in others]
         maps.append(surface.height_map(path, values * factor, pitch, name, left_out=left))
@@ -755,6 +768,7 @@ def read_gsf(path: Path, options: ReadOptions) -> list[Measurement]:
     factors = [surface.length_um(unit) if unit else None for unit in units]
     if any(unit and factor is None for unit, factor in zip(units, factors, strict=True)):
         raise NacreError(f"{path}: is a map of {units[1] or '?'} over {units[0] or '?'}; heights are lengths")
+    check_unit(path, options, units[1])
     vertical = surface.asked_unit(path, options) if factors[1] is None else factors[1]
     sides = [float(keys.get(name, 1.0)) for name in ("XReal", "YReal")]
     lateral = factors[0]

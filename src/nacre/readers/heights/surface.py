@@ -1,5 +1,6 @@
 """What all readers of height maps share: length units, checks, channels, and the measurement they return."""
 
+import math
 import re
 import warnings
 from collections.abc import Mapping, Sequence
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.machine import check_memory
-from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions, contradiction
 from nacre.readers.registry import open_file, recognise
 
 LENGTHS_UM = {
@@ -177,6 +178,17 @@ def asked_unit(path: Path, options: ReadOptions, what: str = "heights") -> float
     if factor is None:
         raise NacreError(f'{path}: unit = "{options.unit}" is no length; allowed: {", ".join(UNIT_CHOICES)}')
     return factor
+
+
+def check_unit(path: Path, options: ReadOptions, stated: str) -> None:
+    """Refuse an option `unit` that differs from the unit of heights in the file, which may be empty or not a length.
+
+    Raises:
+        NacreError: it does.
+    """
+    factor = length_um(stated)
+    if factor is not None and options.unit is not None and not math.isclose(asked_unit(path, options), factor):
+        raise contradiction(path, "unit", options.unit, stated.strip())
 
 
 def asked_pitch(path: Path, options: ReadOptions) -> tuple[float, float]:

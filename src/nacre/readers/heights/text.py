@@ -41,6 +41,7 @@ def read_nacre_heights(path: Path, options: ReadOptions) -> list[Measurement]:
     text = surface.whole_text(path)
     head, *rows = [line for line in text.splitlines() if line.strip()]
     stated = START.match(head)
+    surface.check_unit(path, options, "um")
     feature_um = float(stated[1]) if stated and stated[1] else _described(path)
     pitch = (feature_um, feature_um) if feature_um else surface.asked_pitch(path, options)
     return [surface.height_map(path, surface.matrix(rows, path).T[::-1], pitch, metadata={"is_period": True})]
@@ -78,6 +79,7 @@ def read_holography(path: Path, options: ReadOptions) -> list[Measurement]:
     pitch = surface.quantity_um(fields["pixel size"])
     unit = fields.get("data unit", "").strip()
     factor = surface.length_um(unit)
+    surface.check_unit(path, options, unit)
     if factor is None:
         found = next((m for line in head if (m := FACTOR.search(line))), None)
         named = surface.length_um(found[1]) if found else None
@@ -156,6 +158,8 @@ def read_xyz(path: Path, options: ReadOptions) -> list[Measurement]:
     named = _units(heading)
     missing_units = [axis for axis, unit in zip("xyz", named, strict=True) if unit is None]
     asked = surface.asked_unit(path, options, " and ".join(missing_units)) if missing_units else 1.0
+    if not missing_units:
+        surface.check_unit(path, options, UNIT.findall(heading)[-1])
     factors = [asked if unit is None else unit for unit in named]
     column, columns, dx = _places(x, path)
     row, count, dy = _places(y, path)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions, contradiction
 from nacre.readers.text_table import LINE_END, delimiters, find_delimiter, load_text, number, split
 from nacre.readers.units import likely_unit
 
@@ -304,7 +304,7 @@ def agreed_unit(path: Path, options: ReadOptions, stated: str | None, x: Array |
         return given or stated
     if x is not None and len(x) and x.min() > 0.0 and likely_unit(x, stated) is not None:
         return given
-    raise NacreError(f'{path}: unit = "{given}", but the file states "{stated}"; correct one of them')
+    raise contradiction(path, "unit", given, stated)
 
 
 def axis_unit(path: Path, options: ReadOptions, stated: str) -> str:
