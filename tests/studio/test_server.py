@@ -21,6 +21,7 @@ import nacre
 from nacre.core.errors import NacreError
 from nacre.families.registry import FAMILIES
 from nacre.light import delta_e_2000, spectrum_to_rgb_linear, spectrum_to_srgb, srgb_to_hex
+from nacre.recipe.toml import parse_toml
 from nacre.studio.appearance import appearances
 from nacre.studio.edit import edited, family_form, line_of
 from nacre.studio.folder import STARTS, OpenedFolder
@@ -233,8 +234,6 @@ def test_layers_are_added_moved_and_taken_out() -> None:
 
 
 def nacre_data(text: str) -> dict[str, Any]:
-    from nacre.recipe.toml import parse_toml
-
     return parse_toml(text, "recipe")
 
 
@@ -252,6 +251,37 @@ BAD_EDITS = [
 def test_an_impossible_change_is_one_line(edit: dict[str, Any]) -> None:
     with pytest.raises(NacreError, match="film.toml"):
         edited(FILM, [edit], "film.toml")
+
+
+GRATING = """# lines
+family = "grating"
+substrate = "glass"
+lattice = {period_nm = 400}
+layers = [{thickness_nm = 80, material = "air", shapes = [SHAPE]}]  # one layer
+"""
+
+
+def test_another_shape_of_a_grating_has_the_size_of_the_former_one() -> None:
+    for old in ('shape = "line", width_nm = 120', 'shape = "disc", diameter_um = 0.12',
+                'shape = "ellipse", size_nm = [120, 90], rotation_deg = 20',
+                'shape = "cross", width_nm = 40, length_nm = 120'):  # fmt: skip
+        recipe = GRATING.replace("SHAPE", f'{{material = "Si", {old}}}')
+        for new in ("line", "rectangle", "disc", "ellipse", "ring", "cross", "polygon"):
+            text = edited(recipe, [{"path": "layers[0].shapes[0].shape", "value": new}], "recipe")
+            shape = nacre.material(parse_toml(text, "recipe")).get("layers[0].shapes[0]")
+            across = shape.get("diameter_nm", shape["length_nm"] if new == "cross" else shape.get("width_nm", 120.0))
+            assert (shape["shape"], across, "# one layer" in text) == (new, pytest.approx(120.0), True)
+
+
+@pytest.mark.parametrize("new", ["sinusoidal", "triangle", "blazed", "trapezoid"])
+def test_another_profile_of_a_grating_keeps_its_depth(new: str) -> None:
+    recipe = 'family = "grating"\nsubstrate = "Al"\nlattice = {period_nm = 800}\n[profile]\n'
+    for old in (
+        'shape = "triangle"\ndepth_nm = 90\napex = 0.3',
+        'shape = "trapezoid"\ndepth_nm = 90\ntop = 0.2\nbottom = 0.3',
+    ):
+        text = edited(f"{recipe}{old}\n", [{"path": "profile.shape", "value": new}], "recipe")
+        assert nacre.material(parse_toml(text, "recipe")).get("profile.depth_nm") == 90
 
 
 @pytest.mark.parametrize(

@@ -340,6 +340,15 @@ class RecipeModel(pydantic.BaseModel):
                 converted[name] = scale_length(converted.pop(way), length_factor(way, name))
         return converted
 
+    @classmethod
+    def with_choice(cls, table: Mapping[str, Any], key: str, value: str) -> dict[str, Any]:
+        """Return a table in which another word was chosen for a key, with the keys that belong to this word.
+
+        Args:
+            table: lengths in the units of the model's fields.
+        """
+        return {**table, key: value}
+
     def __init_subclass__(cls, **options: Any) -> None:
         """Let `build` of an unchanged table run once for all variants of a recipe with a snapshot."""
         super().__init_subclass__(**options)

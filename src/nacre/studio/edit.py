@@ -14,8 +14,8 @@ import tomlkit
 
 from nacre.core.errors import NacreError, RecipeError
 from nacre.families.registry import family_spec
-from nacre.recipe.keys import Key, as_written, keys_of, one_sentence
-from nacre.recipe.model import RecipeModel, length_factor, spellings
+from nacre.recipe.keys import Key, as_written, find_key, keys_of, one_sentence
+from nacre.recipe.model import RecipeModel, length_factor, scale_length, spellings
 from nacre.recipe.paths import find_by_path, set_by_path
 from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
 
@@ -39,8 +39,29 @@ def edited(text: str, edits: Sequence[Mapping[str, Any]], source: str) -> str:
     if len(edits) > MAX_EDITS:
         raise RecipeError(f"{source}: {len(edits)} edits at once; at most {MAX_EDITS} are allowed")
     for edit in edits:
-        text = _apply(text, edit, source)
+        for each in (edit, *_consequences(text, edit, source)):
+            text = _apply(text, each, source)
     return text
+
+
+def _consequences(text: str, edit: Mapping[str, Any], source: str) -> list[dict[str, Any]]:
+    """Return the edits that the choice of a word requires in its table, such as the sizes of another shape."""
+    path, value = edit.get("path"), edit.get("value")
+    if not isinstance(path, str) or not isinstance(value, str) or edit.get("op", "set") != "set":
+        return []
+    place, _, key = path.rpartition(".")
+    try:
+        data = parse_toml(text, source)
+        model = find_key([family_spec(data.get("family"), source)], place, source)[1].tables[0]
+        table, _ = find_by_path(data, path, source)
+        names = {way: name for name in model.model_fields for way in spellings(name)}
+        scaled = {names[way]: scale_length(v, length_factor(way, names[way])) if way != names[way] else v
+                  for way, v in table.items()}  # fmt: skip
+        made = model.with_choice(scaled, key, value)
+    except (NacreError, LookupError, TypeError, ValueError):  # a recipe with errors, which are reported elsewhere
+        return []
+    gone = [{"path": f"{place}.{way}", "op": "remove"} for way in table if names[way] not in made]
+    return gone + [{"path": f"{place}.{k}", "value": v} for k, v in made.items() if scaled.get(k) != v and k != key]
 
 
 def _apply(text: str, edit: Mapping[str, Any], source: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -45,6 +45,8 @@ OWN = {
     "cell": ("gds",),
     "layer": ("gds",),
 }
+LEFT = {"corner_radius_nm": ("rectangle",), "rotation_deg": KINDS[1:7], "center_nm": KINDS[:7]}  # by another choice
+NEW_NM = 100.0  # size of a shape that replaces a drawing
 MAX_PIXELS = 1024
 SAMPLES = 256  # a side, in the search for overlaps
 LEAST_EXTENT = 1e-3  # of a GDS drawing, over the period
@@ -102,6 +104,23 @@ class ShapeSpec(RecipeModel):
     gds: str | None = Field(default=None, description="a GDS file: the shape is its polygons", examples=["cell.gds"])
     cell: str | None = Field(default=None, description="name of the GDS cell; default: its only top cell")
     layer: Annotated[int, Field(ge=0, le=65535)] = Field(default=1, description="layer of the GDS file")
+
+    @classmethod
+    def with_choice(cls, table: Mapping[str, Any], key: str, value: str) -> dict[str, Any]:
+        """Return the table of another shape, as large as the former one."""
+        if key != "shape" or value not in SIZES:
+            return super().with_choice(table, key, value)
+        width, length = _sides(table)
+        sizes: dict[str, Any] = {"width_nm": width, "diameter_nm": width, "inner_diameter_nm": 0.5 * width}
+        sizes["points_nm"] = [[0.5 * x * width, 0.5 * y * length] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        if value != "rectangle" or length != width:
+            sizes["length_nm"] = length
+        if value == "cross":
+            thin, sizes["length_nm"] = sorted((width, length))
+            sizes["width_nm"] = min(thin, 0.4 * sizes["length_nm"])
+        others = {k: v for k, v in table.items() if k not in OWN and value in LEFT.get(k, KINDS)}
+        added = (*SIZES[value], "length_nm") if value == "rectangle" else SIZES[value]
+        return {**others, "shape": value, **{name: sizes[name] for name in added if name in sizes}}
 
     def model_post_init(self, _: Any) -> None:
         kind = self.kind
@@ -372,6 +391,16 @@ def _polygon(corners: Array) -> Callable[[Array, Array], Array]:
         return np.where(inside, -1.0, 1.0) * np.sqrt(squared)
 
     return distance
+
+
+def _sides(table: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the sizes of a shape in a recipe along x and y."""
+    if table.get("points_nm"):
+        width, length = np.ptp(np.array(table["points_nm"], dtype=float), axis=0).tolist()
+        return width, length
+    width, length = table.get("size_nm") or (table.get("width_nm", table.get("diameter_nm")), table.get("length_nm"))
+    width = float((length if table.get("shape") == "cross" else width) or NEW_NM)
+    return width, float(length or width)
 
 
 def check_shapes(shapes: list[tuple[str, Shape]], cell: Cell) -> str | None:

@@ -132,6 +132,16 @@ class ProfileSpec(RecipeModel):
     )
     file: str | None = Field(default=None, description="the same as heights", examples=["profile.csv"])
 
+    @classmethod
+    def with_choice(cls, table: Mapping[str, Any], key: str, value: str) -> dict[str, Any]:
+        """Return the table of another profile."""
+        if key != "shape":
+            return super().with_choice(table, key, value)
+        flats = {"top": 0.3, "bottom": 0.3} if value == "trapezoid" else {}
+        depth = {} if value == "file" else {"depth_nm": 100.0}
+        others = {k: v for k, v in table.items() if value in PROFILE_KEYS.get(k, (value,))}
+        return {**flats, **depth, **others, "shape": value}
+
     def model_post_init(self, _: Any) -> None:
         is_file = self.shape == "file"
         for key, shapes in PROFILE_KEYS.items():
