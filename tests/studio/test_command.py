@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import socket
 import subprocess
 import sys
+import urllib.request
 from pathlib import Path
 
 import pytest
 
 from nacre.cli import run
+from nacre.studio.server import HEADER
 
 FILES = 512  # that a server may have open; half of what Linux gives
 
@@ -54,9 +57,18 @@ def test_the_command_prints_one_address_and_listens_on_loopback_alone(folder: Pa
     assert out == "" and "Traceback" not in err and process.returncode == 130
 
 
-def test_without_a_browser_one_line_says_so_and_the_server_serves_on(folder: Path) -> None:
+TRIANGLE = b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such signals")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_without_a_browser_the_server_serves_on_and_a_signal_removes_its_meshes(
+    folder: Path, tmp_path: Path, number: signal.Signals
+) -> None:
     command = [sys.executable, "-m", "nacre", "studio", str(folder), "--port", "0"]
-    environment = {**os.environ, "BROWSER": "/no/such/browser"}
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    environment = {**os.environ, "BROWSER": "/no/such/browser", "TMPDIR": str(temporary)}
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
     ) as process:
@@ -65,10 +77,15 @@ def test_without_a_browser_one_line_says_so_and_the_server_serves_on(folder: Pat
             address = process.stdout.readline().strip()
             assert "no browser" in process.stderr.readline()
             assert process.poll() is None
-            port = int(address.split(":")[2].split("/")[0])
-            socket.create_connection(("127.0.0.1", port), timeout=60).close()
+            place, _, token = address.partition("?token=")
+            asked = urllib.request.Request(f"{place}api/mesh?name=a.obj", TRIANGLE, {HEADER: token})
+            with urllib.request.urlopen(asked, timeout=60):
+                assert list(temporary.glob("nacre-studio-meshes-*/*.ply"))
+            process.send_signal(number)
+            assert process.wait(60) == 128 + signal.SIGTERM
         finally:
             process.kill()
+    assert not list(temporary.glob("nacre-studio-meshes-*"))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit of open files to reach")

@@ -246,11 +246,15 @@ class MeshStore:
     """The last few uploaded meshes, as PLY files for pictures; deleted at its end."""
 
     def __init__(self, capacity: int = 4) -> None:
-        self._folder = Path(tempfile.mkdtemp(prefix="nacre-studio-meshes-"))
-        weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
         self._capacity = capacity
         self._names: list[str] = []
         self._count = 0
+
+    @functools.cached_property
+    def _folder(self) -> Path:
+        folder = Path(tempfile.mkdtemp(prefix="nacre-studio-meshes-"))
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        return folder
 
     def place(self, suffix: str) -> tuple[str, Path, Path]:
         """Return a new mesh's key, upload path and PLY path."""
@@ -265,7 +269,7 @@ class MeshStore:
         """Delete a mesh."""
         if name in self._names:
             self._names.remove(name)
-        (self._folder / f"{name}.ply").unlink(missing_ok=True)
+            (self._folder / f"{name}.ply").unlink(missing_ok=True)
 
     def path(self, name: str) -> Path:
         """Return a mesh's PLY file.
@@ -273,10 +277,9 @@ class MeshStore:
         Raises:
             NacreError: it was deleted.
         """
-        path = self._folder / f"{name}.ply"
-        if name not in self._names or not path.is_file():
+        if name not in self._names or not (self._folder / f"{name}.ply").is_file():
             raise NacreError("the studio no longer has this mesh; drop it on the page again")
-        return path
+        return self._folder / f"{name}.ply"
 
 
 # Instrument files that are dropped on the page: measured data beside the computed ones, and reliefs from scans.

@@ -10,6 +10,7 @@ import json
 import math
 import os
 import secrets
+import signal
 import socket
 import stat
 import sys
@@ -161,7 +162,15 @@ def serve(opened: OpenedFolder, port: int | None, opens_browser: bool) -> None:
     if opens_browser:
         threading.Thread(target=_open_browser, args=(address,), daemon=True).start()
     threading.Thread(target=_warm_up, daemon=True).start()
+    signal.signal(signal.SIGTERM, _leave)  # the server restores it at its end and raises the signal again
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, lambda *_: signal.raise_signal(signal.SIGTERM))
     uvicorn.Server(config).run(sockets=[listening])
+
+
+def _leave(number: int, frame: object) -> None:
+    """Exit such that temporary files are removed; a signal would end the process at once."""
+    sys.exit(128 + number)
 
 
 def _open_browser(address: str) -> None:
