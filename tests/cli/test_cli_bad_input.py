@@ -7,11 +7,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+import nacre.analysis.sweep
 from nacre.cli import run
+from nacre.cli.common import STOPPED, STOPPED_EARLY
 
 GOOD = """family = "film"
 substrate = "Si"
@@ -185,6 +188,26 @@ def test_an_interrupted_render_stops_cleanly(tmp_path: Path) -> None:
     status, said = stopped_render(tmp_path, 8, signal.SIGINT, 60_000)
     assert status in (130, 2)
     assert "Traceback" not in said
+
+
+def test_an_interrupt_says_whether_results_are_stored(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sweep = 'recipe = "film.toml"\n[measure]\nangles_deg = [0]\n[axes]\n"layers[0].thickness_nm" = [100, 200]\n'
+    (tmp_path / "film.toml").write_text(GOOD)
+    (tmp_path / "sweep.toml").write_text(sweep)
+    compute = nacre.analysis.sweep._compute_point
+    for left, message in ((0, STOPPED_EARLY), (1, STOPPED)):
+        points = [compute] * left
+
+        def stopping(*point: Any, points: list[Any] = points) -> Any:
+            if not points:
+                raise KeyboardInterrupt
+            return points.pop()(*point)
+
+        monkeypatch.setattr(nacre.analysis.sweep, "_compute_point", stopping)
+        assert run(["sweep", str(tmp_path / "sweep.toml"), "-o", str(tmp_path / f"{left}"), "--jobs", "1"]) == 130
+        assert capsys.readouterr().err.strip() == message
 
 
 @pytest.mark.parametrize(

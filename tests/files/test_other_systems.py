@@ -96,7 +96,7 @@ def test_pictures_install_no_wakeup_where_there_are_no_signals(monkeypatch: pyte
 
     monkeypatch.setattr(signal, "set_wakeup_fd", refused)
     monkeypatch.setattr(interrupt.os, "name", "nt")
-    with interrupt.leaving_at_once(130, "stopped"):
+    with interrupt.leaving_at_once(130, lambda: "stopped"):
         pass
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import nacre
-from nacre.cli.common import STOPPED
+from nacre.cli.common import STOPPED_EARLY
 
 # a render whose material stays for ever in compiled code, which no signal breaks off: it reports when it has begun
 SLOW = """
@@ -48,7 +48,7 @@ def test_before_the_first_pass_a_render_leaves_at_once(tmp_path: Path) -> None:
         finally:
             process.kill()
     assert process.returncode == 130
-    assert reported == f"{STOPPED}\n"
+    assert reported == f"{STOPPED_EARLY}\n"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -60,7 +60,7 @@ from nacre.picture.interrupt import leaving_at_once
 leave = os._exit
 os._exit = lambda status: (time.sleep(0.5), leave(status))
 try:
-    with leaving_at_once(130, "stopped"):
+    with leaving_at_once(130, lambda: "stopped"):
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(5)
 except KeyboardInterrupt:

@@ -28,7 +28,7 @@ from nacre.analysis.sweep_plan import AT_GEOMETRIES, Sweep, SweepSpec, load_swee
 from nacre.analysis.ties import tied_maker
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
-from nacre.core.files import check_writable, plain, temporary_prefix
+from nacre.core.files import check_writable, plain, stored, temporary_prefix
 from nacre.core.jobs import Workers, run_jobs
 from nacre.core.lazy import require
 from nacre.material.material import Material, material
@@ -152,6 +152,7 @@ class Store:
                     values = np.ascontiguousarray(result[name], dtype="<f8")
                     self._write_chunk(name, (*place, *(0,) * trailing), values.tobytes())
             self._write_chunk("status", place, bytes([FAILED if isinstance(result, str) else DONE]))
+            stored.set()
         except OSError as error:
             raise NacreError(f"{self.path}: cannot be written: {error.strerror or error}") from None
 

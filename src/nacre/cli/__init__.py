@@ -21,13 +21,14 @@ from nacre._version import __version__
 from nacre.cli.common import (
     STATUS_BAD_INPUT,
     STATUS_INTERRUPTED,
-    STOPPED,
     compile_listener,
     hold_closed_streams,
     listener,
     say,
+    stopped_line,
 )
 from nacre.core.errors import NacreError, did_you_mean
+from nacre.core.files import stored
 from nacre.core.jit import may_be_stored, on_compile, spare_compilation
 from nacre.core.lazy import missing_line
 from nacre.core.progress import on_progress
@@ -126,6 +127,7 @@ def run(argv: list[str]) -> int:
     """Run one command line and return its exit status: 0, 2 for bad input, 130 when interrupted."""
     debug, yes = "--debug" in argv, "--yes" in argv
     argv = [word for word in argv if word not in ("--debug", "--yes")]
+    stored.clear()
     try:
         if any("\0" in word for word in argv):
             raise NacreError("an argument holds a NUL character, which no file name and no number has")
@@ -136,7 +138,7 @@ def run(argv: list[str]) -> int:
     except (KeyboardInterrupt, click.Abort):
         if debug:
             raise
-        say(STOPPED)
+        say(stopped_line())
         return STATUS_INTERRUPTED
     except click.exceptions.Exit as leave:
         return leave.exit_code
@@ -164,7 +166,7 @@ def run(argv: list[str]) -> int:
         if debug:
             raise
         if _was_interrupted(error):
-            say(STOPPED)
+            say(stopped_line())
             return STATUS_INTERRUPTED
         if isinstance(error, ModuleNotFoundError) and (line := missing_line(error.name or "")):
             say(f"nacre: {line}")

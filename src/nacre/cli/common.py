@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.errors import NacreError
+from nacre.core.files import stored
 
 F = TypeVar("F", bound=Callable[..., Any])
 MAX_LIST = 100_000
@@ -240,7 +241,13 @@ def note(message: str) -> None:
 STATUS_BAD_INPUT = 2
 STATUS_INTERRUPTED = 130
 STOPPED = "nacre: stopped; finished results are stored"
+STOPPED_EARLY = "nacre: stopped before the first result was stored"
 MAX_WORD = 200  # characters; longer words of a message are shortened
+
+
+def stopped_line() -> str:
+    """Return the message of an interrupted command."""
+    return STOPPED if stored.is_set() else STOPPED_EARLY
 
 
 def say(message: str) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from nacre.cli import common
-from nacre.cli.common import STATUS_INTERRUPTED, STOPPED
+from nacre.cli.common import STATUS_INTERRUPTED, stopped_line
 from nacre.core.errors import NacreError
 from nacre.core.files import check_writable, short_name
 
@@ -130,7 +130,7 @@ def render(
         settings["workers"] = workers
         workers = type(workers)()
     options: dict[str, Any] = {**settings, "exposure": _exposure(exposure)}
-    with leaving_at_once(STATUS_INTERRUPTED, STOPPED):
+    with leaving_at_once(STATUS_INTERRUPTED, stopped_line):
         material = common.load_material(recipe, changes)
         with common.solving_on(workers, material):
             _render(material, path, animate, frames, options)

@@ -14,6 +14,7 @@ import select
 import shutil
 import stat
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -101,6 +102,9 @@ def remove_leftovers(folder: Path) -> None:
                         os.unlink(entry.path)
 
 
+stored = threading.Event()  # set when a result is stored; an interrupted command reports whether it is
+
+
 @contextlib.contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`, which replaces `path` when the block succeeds.
@@ -128,6 +132,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
                 shutil.copyfileobj(source, sink)
             return
         temporary.replace(path)
+        stored.set()
     except OSError as error:
         raise NacreError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:

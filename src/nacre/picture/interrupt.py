@@ -62,7 +62,7 @@ def held_back() -> Iterator[Callable[[], bool]]:
 
 
 @contextlib.contextmanager
-def leaving_at_once(status: int, message: str) -> Iterator[None]:
+def leaving_at_once(status: int, message: Callable[[], str]) -> Iterator[None]:
     """End the process on an interrupt within the first pass; for the command line.
 
     Files are written atomically, therefore no partial files remain.
@@ -80,7 +80,7 @@ def leaving_at_once(status: int, message: str) -> Iterator[None]:
         while number := os.read(reader, 1):
             if number[0] == signal.SIGINT and not _has_passes.is_set() and leaving.acquire(blocking=False):
                 cursor = "\x1b[?25h" if sys.stderr.isatty() else ""  # a progress bar may have hidden it
-                os.write(2, f"{cursor}{message}\n".encode())
+                os.write(2, f"{cursor}{message()}\n".encode())
                 os._exit(status)
         os.close(reader)
 
