@@ -51,7 +51,7 @@ SLOW_CASES = Path(__file__).parent / "slow_cases.txt"
 
 
 def slow_cases() -> list[str]:
-    """Return the names of the cases that are too slow for the quick suite."""
+    """Return the names of the tests that are too slow for the quick suite."""
     if not SLOW_CASES.exists():  # a suite of its own, of a test
         return []
     lines = SLOW_CASES.read_text(encoding="utf-8").splitlines()
@@ -60,7 +60,7 @@ def slow_cases() -> list[str]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark them `full`, before pytest chooses by mark; where all is collected, a name that no case has is an error."""
+    """Mark the slow tests `full` and `slow`, before pytest chooses by mark; stop if a name belongs to no test."""
     slow = dict.fromkeys(slow_cases(), False)
     files = set()
     for item in items:
@@ -69,6 +69,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             if name in slow:
                 slow[name] = True
                 item.add_marker(pytest.mark.full)
+                item.add_marker(pytest.mark.slow)
     files |= {file for name in slow if not (SLOW_CASES.parents[1] / (file := name.partition("::")[0])).exists()}
     whole = {name.partition("::")[0] for name in slow} <= files
     if gone := [name for name, found in slow.items() if not found and whole]:

@@ -270,7 +270,7 @@ def test_a_slow_case_that_no_longer_exists_fails_the_session(gone: str, processe
     (folder / "conftest.py").write_text((Path(__file__).parents[1] / "conftest.py").read_text())
     (folder / "test_a.py").write_text("def test_plain():\n    pass\n\ndef test_slow():\n    pass\n")
     (folder / "slow_cases.txt").write_text(f"suite/test_a.py::test_slow\n{gone}\n")
-    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = full\n")
+    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers =\n    full\n    slow\n")
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not full", *processes, str(folder)],
         cwd=tmp_path,

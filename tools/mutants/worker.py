@@ -58,7 +58,7 @@ SKIPPED = (
 OPTIONS = (
     *"-q -s -p no:cacheprovider -p no:xdist -p no:cov --continue-on-collection-errors --timeout=0".split(),
     *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # packages that were imported before
-    *("-m", "not full and not gpu"),
+    *("-m", "(slow or not full) and not gpu"),
 )
 TICK = os.sysconf("SC_CLK_TCK")
 
