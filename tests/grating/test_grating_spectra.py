@@ -155,6 +155,7 @@ def test_a_search_measures_the_colour_of_a_narrow_order_as_a_report_does() -> No
     line = {"shape": "line", "material": "Al", "width_nm": 350}
     layers = [{"thickness_nm": 60, "material": "air", "shapes": [line]}]
     made = {"family": "grating", "substrate": "Al", "layers": layers, "lattice": {"period_nm": 700}}
+    made["wavelengths"] = {"step_nm": 20}
     material, viewed = nacre.material(made), Geometry("aspecular", 45.0, 110.0)
     values, lam = colour_values(material, *aspecular_pairs([viewed]), "D65")
     found = simulate_measurement(material, [viewed], np.arange(380.0, 781.0, 20.0), memory={})
@@ -164,3 +165,14 @@ def test_a_search_measures_the_colour_of_a_narrow_order_as_a_report_does() -> No
     ]
     assert labs[0][0, 0] > 30.0  # an order leaves there
     assert delta_e_2000(*labs).max() < 1.0
+
+
+def test_wavelengths_that_miss_a_guided_mode_are_reported(caplog: pytest.LogCaptureFixture) -> None:
+    """Lines of n = 2 on a film, 340 nm apart, reflect lines of some 10 nm."""
+    line = {"shape": "line", "material": {"n": 2.0}, "width_nm": 170}
+    film = {"thickness_nm": 80, "material": {"n": 2.0}}
+    layers = [{"thickness_nm": 100, "material": "air", "shapes": [line]}, film]
+    made = {"family": "grating", "substrate": "glass", "layers": layers, "lattice": {"period_nm": 340}}
+    assert np.diff(nacre.material(made).model.wavelengths_nm).max() == 5.0
+    nacre.material({**made, "wavelengths": {"step_nm": 20}}).spectrum(0.0)
+    assert [record.levelname for record in caplog.records] == ["WARNING"]

@@ -11,6 +11,7 @@ from .colour_spaces import lab_to_din99o as lab_to_din99o
 from .colour_spaces import lab_to_lch as lab_to_lch
 from .colour_spaces import lab_to_xyz as lab_to_xyz
 from .colour_spaces import lch_to_lab as lch_to_lab
+from .colour_spaces import sampling_warning as sampling_warning
 from .colour_spaces import srgb_decode as srgb_decode
 from .colour_spaces import srgb_encode as srgb_encode
 from .colour_spaces import srgb_linear_to_xyz as srgb_linear_to_xyz

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
-from nacre.light.tristimulus import white_xyz
+from nacre.light.tristimulus import spans_colour, spectrum_to_xyz, white_xyz
 
 # IEC 61966-2-1:1999, the standard's own four-digit matrix. Its inverse is computed numerically, which makes the
 # conversion reversible; the standard's own inverse is rounded.
@@ -324,6 +324,33 @@ def check_formula(formula: str) -> None:
         raise NacreError(f'formula = "{formula}" is not available: {REFUSED[name]}')
     if formula not in known:
         raise NacreError(f'formula = "{formula}" is unknown.{did_you_mean(formula, known)} Allowed: {", ".join(known)}')
+
+
+MAX_SAMPLING_ERROR = 1.0  # dE00; larger ones are reported
+
+
+def sampling_warning(values: Array, wavelengths_nm: Array) -> str:
+    """Return a warning if wavelengths are too coarse for the colours of spectra `[..., wavelength]`, or "".
+
+    The colours (D65, 2 degrees) from all wavelengths are compared with those from every second one. This difference is
+    usually larger than the error.
+    """
+    half = wavelengths_nm[::2]
+    if not spans_colour(half):
+        return ""
+    white = white_xyz()
+    every, second = (
+        xyz_to_lab(spectrum_to_xyz(part, grid), white)
+        for part, grid in ((values, wavelengths_nm), (values[..., ::2], half))
+    )
+    error = float(np.max(delta_e_2000(every, second), initial=0.0))
+    if error <= MAX_SAMPLING_ERROR:
+        return ""
+    step = float(np.diff(wavelengths_nm).max())
+    return (
+        f"its spectra have lines between wavelengths {step:g} nm apart: every second wavelength changes a colour by "
+        f"dE00 {error:.2g}; a smaller wavelengths.step_nm is more accurate"
+    )
 
 
 def _lightness_chroma_hue(lab: ArrayLike, other: ArrayLike) -> tuple[Array, Array, Array, Array]:

@@ -35,6 +35,7 @@ from nacre.core.files import DESIGN_RECIPE, named, read_text, short_name
 from nacre.core.html import png_bytes, png_uri
 from nacre.core.machine import check_memory
 from nacre.families.contract import (
+    Diffracting,
     ExcessEnergy,
     ExpensiveMethod,
     Model,
@@ -45,6 +46,7 @@ from nacre.families.contract import (
     values_at,
 )
 from nacre.families.registry import family_spec
+from nacre.light import sampling_warning
 from nacre.material.examples import resolve_recipe_path
 from nacre.material.parametrise import Parametrisation
 from nacre.material.spatial_variation import Varying
@@ -233,6 +235,10 @@ class Material:
             check_memory(float(BYTES_PER_VALUE) * len(theta) * count, what)
         with self._named_errors():
             found = self._solved_spectrum(theta, grid, polarisation, seed, azimuth_deg)
+        if grid is None and found is not None and isinstance(self.model, Diffracting):
+            said = sampling_warning(np.stack(list(found.parts().values())), found.wavelengths_nm)
+            if said:
+                _warn_once(self.context.source, said)
         if found is None:
             if polarisation != "both":
                 traits = self.model.traits

@@ -20,6 +20,7 @@ from nacre.core.arrays import Array, gauss_legendre, interpolate, rotation_about
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Diffracting, DirectEvaluation, Fabricable, Pixels, Traits
 from nacre.families.grating.profiles import outlines
+from nacre.light import sampling_warning
 from nacre.matter.drawings import CellField, Drawer, DrawingRequest
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.periodic.order_tables import MAX_THETA, OrderTables, in_common, order_tables
@@ -284,6 +285,10 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
             "interpolation_error": float(f"{between:.2g}"),
         }
         warnings = []
+        for part in (each for t in tables for each in (t.mirror, t.passed, t.reflected.sum(axis=2))):
+            some = part[: -1 : len(part) // 2, : -1 : max(part.shape[1] // 4, 1)]  # 0 and 45 degrees, four azimuths
+            if not warnings and (said := sampling_warning(some, lam)):
+                warnings.append(said)
         if error > largest:
             warnings.append(f"the table of its orders has errors up to {error:.2g}; nacre orders solves better")
         if between > largest:

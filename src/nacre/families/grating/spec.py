@@ -25,6 +25,7 @@ MAX_PERIOD_NM = 100_000.0
 MAX_CROSSED_NM = 5_000.0
 MIN_PERIOD_NM = 10.0
 MAX_RATIO = 4.0  # of a period that varies over the surface
+STEP_NM, CROSSED_STEP_NM = 5.0, 10.0  # between wavelengths; guided modes make lines of 5 to 20 nm
 PROFILE_KEYS = {
     # key -> profiles that it describes
     "apex": ("triangle", "blazed"),
@@ -242,15 +243,18 @@ class WavelengthsSpec(RecipeModel):
 
     min_nm: Annotated[float, Field(ge=100.0, le=1e5)] = Field(default=380.0, description="first wavelength of the grid")
     max_nm: Annotated[float, Field(ge=100.0, le=1e5)] = Field(default=780.0, description="last wavelength of the grid")
-    step_nm: Annotated[float, Field(ge=0.5, le=1000.0)] = Field(default=20.0, description="step of the grid")
+    step_nm: Annotated[float, Field(ge=0.5, le=1000.0)] | None = Field(
+        default=None, description="step of the grid; default: 5 for lines and profiles, 10 for two periods",
+        examples=[20],
+    )  # fmt: skip
 
     def model_post_init(self, _: Any) -> None:
         if self.max_nm <= self.min_nm:
             raise ValueError(f"max_nm = {self.max_nm:g} must be above min_nm = {self.min_nm:g}")
 
-    def grid(self) -> Array:
-        """Return the wavelengths."""
-        count = max(int(np.ceil((self.max_nm - self.min_nm) / self.step_nm - 1e-9)), 1)
+    def grid(self, default_nm: float) -> Array:
+        """Return the wavelengths, `default_nm` apart if the recipe states no step."""
+        count = max(int(np.ceil((self.max_nm - self.min_nm) / (self.step_nm or default_nm) - 1e-9)), 1)
         return np.linspace(self.min_nm, self.max_nm, count + 1)
 
 
@@ -385,6 +389,6 @@ class GratingSpec(RecipeModel):
             turn=texture,
             period=period,
             tolerance=self.model.tolerance,
-            grid_nm=tuple(self.wavelengths.grid()),
+            grid_nm=tuple(self.wavelengths.grid(STEP_NM if cell.period_y is None else CROSSED_STEP_NM)),
             is_coarse=context.is_low_fidelity and self.model.tolerance is None,
         )
