@@ -16,7 +16,6 @@ from nacre.cli import run
 from nacre.core.errors import MaterialRangeError
 from nacre.families.metasurface.material import MetasurfaceWarning
 from nacre.families.metasurface.species import place
-from nacre.families.metasurface.tmatrix import tmatrix_file
 from nacre.families.metasurface.tmatrix.axisymmetric import (
     AxialTMatrices,
     TabulatedBody,
@@ -34,6 +33,7 @@ from nacre.families.metasurface.tmatrix.particle_on_stack import (
 )
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.families.metasurface.tmatrix.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
+from nacre.readers import hdf5
 
 SAME = 1e-10  # of spheres by way of a file, against Mie
 TREAMS = 1e-6
@@ -472,8 +472,8 @@ def test_what_is_no_such_file_gets_one_line(tmp_path, capsys):
 )
 def test_a_file_that_hdf5_does_not_survive_gets_one_line(tmp_path, capsys, monkeypatch, probe, patience, said):
     """Met by changing bytes at random: a broken heap of strings is read for ever."""
-    monkeypatch.setattr(tmatrix_file, "PROBE", probe)
-    monkeypatch.setattr(tmatrix_file, "PROBE_TIMEOUT_S", patience)
+    monkeypatch.setattr(hdf5, "PROBE", probe)
+    monkeypatch.setattr(hdf5, "PROBE_TIMEOUT_S", patience)
     write_tmatrices(tmp_path / "b.tmat.h5", _spheres(), "sphere")
     assert said in _refusal(tmp_path, capsys, 'tmatrix = "b.tmat.h5"')
 

@@ -24,42 +24,16 @@ from typing import Any
 
 import numpy as np
 
+from nacre.analysis import fit_data
 from nacre.analysis.ellipsometry import EllipsometryData, ellipsometry_data
-from nacre.analysis.fit_data import (
-    ColourData,
-    Data,
-    Joint,
-    TextureData,
-    colour_measurement,
-    is_geometry_list,
-    joined,
-    name_of,
-    orders_measurement,
-    parts_of,
-    stated_colours,
-    stated_texture,
-    texture_measurement,
-)
 from nacre.analysis.measured import Measured, gonio_measurement, spectrum_measurement
 from nacre.analysis.ties import INSTRUMENT, Ties, read_ties
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
 from nacre.families.contract import is_direct
 from nacre.material.material import Material
-from nacre.optimise.methods.least_squares import (
-    INTERVALS,
-    SCOUTS_PER_PARAMETER,
-    STEP,
-    STOCHASTIC_STEP,
-    LocalMinimum,
-    correlation,
-    is_distinct,
-    is_nonlinear,
-    minimise_residuals,
-    profile_interval,
-    resampled_intervals,
-    sobol_points,
-)
+from nacre.optimise.methods import least_squares
+from nacre.optimise.methods.least_squares import correlation
 from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import open_file
@@ -158,7 +132,7 @@ def read_measurements(
     colours: Mapping[str, Sequence[float]] | None = None,
     texture: Mapping[str, float] | None = None,
     instrument: Any = None,
-) -> Data:
+) -> fit_data.Data:
     """Read the measurements of one sample: ellipsometers, spectrometers, goniometers, colours and texture.
 
     Args:
@@ -172,12 +146,14 @@ def read_measurements(
         NacreError: with the file and the problem.
         AmbiguousFileError: a file can be read in several ways.
     """
-    found = [part for path in paths for part in parts_of(read_measurement(path, options, range_nm, instrument))]
-    found += [stated_colours(colours)] if colours else []
-    found += [stated_texture(texture, instrument)] if texture else []
-    if instrument is not None and not any(isinstance(part, TextureData) for part in found):
+    found = [
+        part for path in paths for part in fit_data.parts_of(read_measurement(path, options, range_nm, instrument))
+    ]
+    found += [fit_data.stated_colours(colours)] if colours else []
+    found += [fit_data.stated_texture(texture, instrument)] if texture else []
+    if instrument is not None and not any(isinstance(part, fit_data.TextureData) for part in found):
         raise NacreError("instrument: the measurements state no texture; add sparkle_45 or another quantity")
-    return joined(found)
+    return fit_data.joined(found)
 
 
 def read_measurement(
@@ -185,7 +161,7 @@ def read_measurement(
     options: ReadOptions | None = None,
     range_nm: tuple[float, float] | None = None,
     instrument: Any = None,
-) -> Data:
+) -> fit_data.Data:
     """Read a measurement: a spectrum CSV as `nacre spectrum` writes it, a gonio CSV, or an instrument's file.
 
     A table of `nacre orders` holds efficiencies. A colour list holds CIELAB (D65, 10 degree observer) at the
@@ -201,19 +177,19 @@ def read_measurement(
     path = Path(path)
     if path.suffix.lower() == ".toml":
         raise NacreError(f"{path}: is a recipe; give the measurement, a CSV, first, and then the recipe")
-    texture = texture_measurement(path, instrument)
+    texture = fit_data.texture_measurement(path, instrument)
     if texture is not None:
         return texture
-    if is_geometry_list(path):
-        return colour_measurement(path)
+    if fit_data.is_geometry_list(path):
+        return fit_data.colour_measurement(path)
     options = replace(options or ReadOptions(), expects="spectrum")
     found = open_file(path, options)
     if found[0].kind == "colours":
-        return colour_measurement(path)
+        return fit_data.colour_measurement(path)
     if found[0].kind == "bsdf":
         return gonio_measurement(path, found[0])
     if found[0].metadata.get("table") == ORDERS:
-        return orders_measurement(path, found[0], range_nm)
+        return fit_data.orders_measurement(path, found[0], range_nm)
     chosen = [m for m in found if m.kind == "ellipsometry" and ("depolarisation" not in m.data or "psi_deg" in m.data)]
     if chosen:
         is_stated = options.delta_convention is not None
@@ -234,7 +210,9 @@ def _one_of(path: Path, found: Sequence[Measurement], options: ReadOptions) -> M
     return found[names.index(options.spectrum)]
 
 
-def other_sign(found: Fit, measured: Data, free: tuple[Parameter, ...], ties: Ties | None = None) -> float | None:
+def other_sign(
+    found: Fit, measured: fit_data.Data, free: tuple[Parameter, ...], ties: Ties | None = None
+) -> float | None:
     """Return the relative rms of a fit with the other Delta sign if it agrees much better; else None.
 
     Only for one file of N, C and S whose Delta sign the user has not stated, and a fit that does not agree.
@@ -282,11 +260,11 @@ def _number(text: str) -> float:
 
 def run_fit(
     material: Material,
-    measured: Data,
+    measured: fit_data.Data,
     free: tuple[Parameter, ...],
     *,
     starts: int = 4,
-    scouts: int = SCOUTS_PER_PARAMETER,
+    scouts: int = least_squares.SCOUTS_PER_PARAMETER,
     weights: str = "equal",
     samples: int | None = None,
     seed: int = 0,
@@ -312,18 +290,21 @@ def run_fit(
     Raises:
         NacreError: no start can be computed.
     """
-    if intervals not in INTERVALS:
-        raise NacreError(f'intervals = "{intervals}" is not known; choose one of {", ".join(INTERVALS)}')
+    if intervals not in least_squares.INTERVALS:
+        raise NacreError(f'intervals = "{intervals}" is not known; choose one of {", ".join(least_squares.INTERVALS)}')
     if weights not in WEIGHTS:
         raise NacreError(f'weights = "{weights}" is not known; choose one of {", ".join(WEIGHTS)}')
     tied = read_ties(material, [number.path for number in free]) if ties is None else ties
     paths = [*(parameter.path for parameter in free), *tied.expressions]
     material = material.at_low_fidelity().with_parts_loaded(paths)
-    measured = joined(
-        [p.resolved(material) if isinstance(p, ColourData | TextureData) else p for p in parts_of(measured)]
+    measured = fit_data.joined(
+        [
+            p.resolved(material) if isinstance(p, fit_data.ColourData | fit_data.TextureData) else p
+            for p in fit_data.parts_of(measured)
+        ]
     )
     problem = _Problem(material, measured, free, tied, samples, seed, weights)
-    minima: list[LocalMinimum] = []
+    minima: list[least_squares.LocalMinimum] = []
     for turn in range(MOST_TURNS):
         candidates = problem.select_starts(starts, scouts, turn)
         for number, start in enumerate(candidates, 1):
@@ -348,7 +329,7 @@ def run_fit(
     minima[0] = best_minimum = problem.corrected(minima[0])
     if progress and problem.is_corrected:
         progress("corrected by walks", problem.relative(best_minimum.loss))
-    if isinstance(measured, Joint):
+    if isinstance(measured, fit_data.Joint):
         minima[0] = best_minimum = problem.reweighted(best_minimum)
         if progress:
             progress("reweighted", problem.relative(best_minimum.loss))
@@ -362,20 +343,20 @@ def run_fit(
     }
     correlations = correlation(best_minimum, measured.values.size)
     agreement = _agreement(measured, residual, len(free))
-    relative = agreement[0].relative_rms if isinstance(measured, Joint) and len(agreement) == 1 else losses[0]
+    relative = agreement[0].relative_rms if isinstance(measured, fit_data.Joint) and len(agreement) == 1 else losses[0]
     return Fit(numbers, fitted, residual, rms, relative, losses, problem.evaluations, linked, correlations, agreement)
 
 
-def _agreement(measured: Data, residual: Array, parameters: int) -> tuple[FittedPart, ...]:
-    parts = parts_of(measured)
-    places = measured.places if isinstance(measured, Joint) else [slice(None)]
+def _agreement(measured: fit_data.Data, residual: Array, parameters: int) -> tuple[FittedPart, ...]:
+    parts = fit_data.parts_of(measured)
+    places = measured.places if isinstance(measured, fit_data.Joint) else [slice(None)]
     found = []
     for part, place in zip(parts, places):
         own = residual.ravel()[place]
         rms = float(np.sqrt(np.mean(own**2)))
         size = float(np.sqrt(np.mean(part.values**2))) or 1.0
         mse = part.mse(own, parameters) if isinstance(part, EllipsometryData) else None
-        found.append(FittedPart(name_of(part, ""), part.kind, part.values.size, rms, rms / size, mse))
+        found.append(FittedPart(fit_data.name_of(part, ""), part.kind, part.values.size, rms, rms / size, mse))
     return tuple(found)
 
 
@@ -385,7 +366,7 @@ class _Problem:
     def __init__(
         self,
         material: Material,
-        measured: Data,
+        measured: fit_data.Data,
         free: tuple[Parameter, ...],
         ties: Ties,
         samples: int | None,
@@ -436,9 +417,9 @@ class _Problem:
     def _loss(self, point: Array) -> float:
         return float(np.sum(self.residual(point) ** 2))
 
-    def reweighted(self, end: LocalMinimum) -> LocalMinimum:
+    def reweighted(self, end: least_squares.LocalMinimum) -> least_squares.LocalMinimum:
         """Refine with each measurement of a `Joint` weighted by its own residual."""
-        assert isinstance(self._measured, Joint)
+        assert isinstance(self._measured, fit_data.Joint)
         for _ in range(REWEIGHTINGS):
             residual = self.residual(end.point)
             if np.all(residual == 0.0):
@@ -454,7 +435,7 @@ class _Problem:
         return end
 
     def with_intervals(
-        self, numbers: tuple[FittedNumber, ...], end: LocalMinimum, method: str
+        self, numbers: tuple[FittedNumber, ...], end: least_squares.LocalMinimum, method: str
     ) -> tuple[FittedNumber, ...]:
         """Return the numbers with their 95 % intervals by a method of `least_squares`."""
         spans = [each.high - each.low for each in self._free]
@@ -467,12 +448,14 @@ class _Problem:
         whole = any(each.is_whole for each in self._free)
         if method == "linear" or whole or noisy or self._walk_means is not None or end.loss == 0.0:
             return linear
-        if method == "auto" and (not self._is_quick() or not is_nonlinear(self.residual, end, widths)):
+        if method == "auto" and (not self._is_quick() or not least_squares.is_nonlinear(self.residual, end, widths)):
             return linear
         if method == "resampling":
-            ends = resampled_intervals(self.residual, end, self._seed)
+            ends = least_squares.resampled_intervals(self.residual, end, self._seed)
         else:
-            ends = np.array([profile_interval(self.residual, end, i, self._width(w)) for i, w in enumerate(widths)])
+            ends = np.array(
+                [least_squares.profile_interval(self.residual, end, i, self._width(w)) for i, w in enumerate(widths)]
+            )
         name = "resampling" if method == "resampling" else "profile"
         return tuple(
             replace(n, interval=(f.value(low), f.value(high)), method=name,
@@ -487,7 +470,7 @@ class _Problem:
     def _is_quick(self) -> bool:
         return bool(self._material.model.traits.is_quick)
 
-    def corrected(self, end: LocalMinimum) -> LocalMinimum:
+    def corrected(self, end: least_squares.LocalMinimum) -> least_squares.LocalMinimum:
         """Refine a surrogate minimum with random walk differences (space mapping)."""
         for _ in range(CORRECTIONS):
             material = self.build(end.point)
@@ -538,7 +521,7 @@ class _Problem:
             return chosen
         count = starts + len(chosen)
         sample = list(
-            sobol_points(
+            least_squares.sobol_points(
                 len(self._free), scouts * len(self._free) * 2**turn, [self._seed, turn] if turn else self._seed
             )
         )
@@ -551,7 +534,7 @@ class _Problem:
         for index in np.argsort(losses):
             if len(chosen) >= count:
                 break
-            if is_distinct(sample[index], chosen, MIN_START_DISTANCE):
+            if least_squares.is_distinct(sample[index], chosen, MIN_START_DISTANCE):
                 chosen.append(sample[index])
         return chosen
 
@@ -576,14 +559,14 @@ class _Problem:
             best = line[minima[0]]
         return found
 
-    def refine(self, start: Array) -> LocalMinimum | None:
+    def refine(self, start: Array) -> least_squares.LocalMinimum | None:
         """Refine one start by least squares, then by CMA-ES if finite differences see only noise."""
-        step = STOCHASTIC_STEP if self._samples is not None else STEP
+        step = least_squares.STOCHASTIC_STEP if self._samples is not None else least_squares.STEP
         begin = self._loss(start)
-        end = minimise_residuals(self.residual, start, step=step)
+        end = least_squares.minimise_residuals(self.residual, start, step=step)
         if end.loss > STALLED_RATIO * begin and self.relative(end.loss) > STALLED_RMS:
             point, loss = self._search_without_gradient(end.point, end.loss)
-            end = LocalMinimum(point, loss, self._jacobian(point, step))
+            end = least_squares.LocalMinimum(point, loss, self._jacobian(point, step))
         if not np.isfinite(end.loss) or self.relative(end.loss) >= 0.99 * PENALTY_RESIDUAL:
             return None
         return end
@@ -609,7 +592,7 @@ class _Problem:
             columns.append((self.residual(high) - self.residual(low)) / (high[i] - low[i]))
         return np.stack(columns, axis=1)
 
-    def confidence(self, end: LocalMinimum) -> tuple[FittedNumber, ...]:
+    def confidence(self, end: least_squares.LocalMinimum) -> tuple[FittedNumber, ...]:
         """Return each number with its 95 % half width, from the residuals' Gauss-Newton covariance.
 
         Errors are assumed independent and equal; a direction to which the data are insensitive has no half width. The

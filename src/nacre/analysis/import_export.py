@@ -3,7 +3,8 @@
 The package for three.js holds the colour table, and colours under uniform light for light from all around.
 """
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,33 +17,16 @@ from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.texture import Texture, refuse_place
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.core.files import atomic_path, check_writable, plain, why_unreadable, write_text
+from nacre.core.files import atomic_path, check_writable, size_of, write_text
 from nacre.families.contract import Masked, OwnFormats
-from nacre.formats.bsdf_tables import (
-    FOLDERS,
-    gonio_grid,
-    is_isotropic,
-    lost_parts,
-    merl_lobe,
-    merl_table,
-    read_merl_filled,
-    unresolved_lost,
-    write_merl,
-)
+from nacre.formats import bsdf_tables, lut, measured_lobes
 from nacre.formats.foreign_materials import ThicknessMap, read_gltf, read_materialx
-from nacre.formats.lut import Closure, LightTable, Picture, Share, ThreePart, check_folder, column_angles, write_three
-from nacre.formats.measured_lobes import (
-    LAWS,
-    MAX_VALUE,
-    GonioData,
-    gonio_data,
-    measured_table,
-    rgb_basis,
-    with_spectra,
-    write_gonio_csv,
-)
+from nacre.formats.number_maps import GREY, write_png_stream
+from nacre.formats.scene_files import Cover, Part, materialx_document, write_gltf, write_materialx, write_usd
 from nacre.light import default_wavelengths
 from nacre.material.material import MAX_EXCESS, Material, MaterialLike, as_material, material_from_data
+from nacre.readers.bsdf import databases
+from nacre.readers.bsdf.ray_tracers import read_zemax_table
 from nacre.readers.measurement import ReadOptions
 from nacre.readers.registry import recognise
 from nacre.recipe.model import RecipeContext
@@ -95,7 +79,7 @@ def export_material(
         NacreError: the file cannot be written.
     """
     target, path = to, Path(output)
-    if target not in FOLDERS:
+    if target not in bsdf_tables.FOLDERS:
         check_writable(path)
     material = as_material(thing)
     refuse_place(material.model, f"{material.context.source}: export")
@@ -118,29 +102,23 @@ def export_material(
     if target == "nacre":
         bsdf.save(path)
     elif target == "rgl":
-        from nacre.formats.bsdf_tables import write_rgl
-
-        facts["lost"] = write_rgl(path, bsdf, comment, is_isotropic=is_isotropic(bsdf))
+        facts["lost"] = bsdf_tables.write_rgl(path, bsdf, comment, is_isotropic=bsdf_tables.is_isotropic(bsdf))
     elif target == "merl":
-        if not is_isotropic(bsdf):
+        if not bsdf_tables.is_isotropic(bsdf):
             facts["lost"].append("anisotropy: MERL holds isotropic materials, phi = 0 was taken")
-        write_merl(path, merl_table(bsdf))
-        facts["lost"] += ["the spectrum: MERL holds linear RGB"] + lost_parts(bsdf)
+        bsdf_tables.write_merl(path, bsdf_tables.merl_table(bsdf))
+        facts["lost"] += ["the spectrum: MERL holds linear RGB"] + bsdf_tables.lost_parts(bsdf)
     elif target == "zemax":
-        from nacre.formats.bsdf_tables import write_zemax, zemax_table
-
-        write_zemax(path, zemax_table(bsdf, wavelength_nm), comment)
-        facts["lost"] = lost_parts(bsdf)
+        bsdf_tables.write_zemax(path, bsdf_tables.zemax_table(bsdf, wavelength_nm), comment)
+        facts["lost"] = bsdf_tables.lost_parts(bsdf)
     elif target == "csv":
-        write_gonio_csv(path, gonio_grid(bsdf, angle_step_deg), comment)
-        facts["lost"] = unresolved_lost(bsdf)
+        measured_lobes.write_gonio_csv(path, bsdf_tables.gonio_grid(bsdf, angle_step_deg), comment)
+        facts["lost"] = bsdf_tables.unresolved_lost(bsdf)
     elif target in ("astm", "brdf-json", "speos"):
         facts["lost"] = _export_measured(bsdf, target, path, angle_step_deg, material.name, comment)
     elif target == "exr":
-        from nacre.formats.bsdf_tables import write_slice
-
-        write_slice(path, bsdf, comment)
-        facts["lost"] = ["all but one slice over (theta_half, theta_diff)"] + lost_parts(bsdf)
+        bsdf_tables.write_slice(path, bsdf, comment)
+        facts["lost"] = ["all but one slice over (theta_half, theta_diff)"] + bsdf_tables.lost_parts(bsdf)
     return facts
 
 
@@ -158,33 +136,29 @@ def _export_tmatrix(material: Material, path: Path, comment: str) -> list[str]:
 
 def _export_measured(bsdf: Bsdf, target: str, path: Path, step_deg: float, name: str, comment: str) -> list[str]:
     """Write a direction grid in a format of measurements and return the lost properties."""
-    from nacre.formats.measured_lobes import write_astm, write_brdf_json, write_speos
-
-    lost, data = unresolved_lost(bsdf), gonio_grid(bsdf, step_deg)
+    lost, data = bsdf_tables.unresolved_lost(bsdf), bsdf_tables.gonio_grid(bsdf, step_deg)
     if target == "speos":
         is_first = data.angles_deg[:, 1] == data.angles_deg[0, 1]
         if not np.all(is_first):
             lost.append("anisotropy: azimuth 0 of the light was taken")
-        data = GonioData(data.angles_deg[is_first], data.wavelengths_nm, data.values[is_first])
-        write_speos(path, data, comment)
+        data = measured_lobes.GonioData(data.angles_deg[is_first], data.wavelengths_nm, data.values[is_first])
+        measured_lobes.write_speos(path, data, comment)
         return lost
     if bsdf.transmits:
         lost.append("transmission and the lower side")
         up = data.angles_deg[:, 2] < 90
-        data = GonioData(data.angles_deg[up], data.wavelengths_nm, data.values[up])
+        data = measured_lobes.GonioData(data.angles_deg[up], data.wavelengths_nm, data.values[up])
     if target == "astm":
-        write_astm(path, data, comment)
+        measured_lobes.write_astm(path, data, comment)
     else:
-        write_brdf_json(path, data, name, comment)
+        measured_lobes.write_brdf_json(path, data, name, comment)
     return lost
 
 
 def _export_table(material: Material, folder: Path, illuminant: str, progress: Callable[[str], None]) -> dict[str, Any]:
-    from nacre.formats.lut import write_table
-
-    check_folder(folder)
+    lut.check_folder(folder)
     table = make_table(material, illuminant, progress)
-    files = write_table(folder, table)
+    files = lut.write_table(folder, table)
     return {
         "illuminant": table.illuminant, "lost": list(table.lost), "files": [path.name for path in files],
         "errors_dE00": {what: dict(values) for what, values in table.errors.items()},
@@ -221,16 +195,10 @@ def _export_film(material: Material, target: str, path: Path, mesh: str | Path |
     provenance = {"nacre": __version__, "recipe": material.text, "residual_delta_e_2000": residual}
     comment = f"nacre {__version__}, residual dE00 {residual:.2f}"
     if target == "gltf":
-        from nacre.formats.scene_files import write_gltf
-
         write_gltf(path, fit.film, material.name, provenance, parts, mapped.thickness if mapped else None)
     elif target == "usd":
-        from nacre.formats.scene_files import materialx_document, write_usd
-
         write_usd(path, materialx_document(fit.film, material.name), comment)
     else:
-        from nacre.formats.scene_files import write_materialx
-
         write_materialx(path, fit.film, material.name, comment)
     if mesh is not None:
         facts["lost"].append(LOST_OF_MESH)
@@ -244,14 +212,11 @@ def _export_blend(material: Material, blend: Masked, path: Path, parts: list[Any
         UnsupportedError: no film represents one of them, or one is a blend.
     """
     from nacre.analysis.thin_film import fit_thin_film
-    from nacre.formats.scene_files import Cover, write_gltf
 
     fits = []
     for name, part in (("first", blend.first), ("second", blend.second)):
-        try:
+        with _part_of_blend(name):
             fits.append(fit_thin_film(part))
-        except UnsupportedError as error:
-            raise UnsupportedError(f"the part {name} of the blend: {error}; export the other part alone") from None
     over, under = fits
     share = _share(blend.mask)
     mean = share.mean
@@ -272,13 +237,21 @@ def _export_blend(material: Material, blend: Masked, path: Path, parts: list[Any
     return facts
 
 
+@contextlib.contextmanager
+def _part_of_blend(name: str) -> Iterator[None]:
+    """Name the part of a blend in its errors."""
+    try:
+        yield
+    except UnsupportedError as error:
+        raise UnsupportedError(f"the part {name} of the blend: {error}; export the other part alone") from None
+
+
 def _mesh_parts(mesh: Path) -> list[Any]:
     """Return the triangles of a mesh file, y up.
 
     Raises:
         NacreError: the file is missing, damaged, empty or too large.
     """
-    from nacre.formats.scene_files import Part
     from nacre.picture.subjects import TO_Z_UP, read_mesh
 
     read = read_mesh(mesh)
@@ -302,10 +275,7 @@ def import_material(
         NacreError: the file has an unknown format or is damaged.
         UnsupportedError: a measurement that is not a BRDF of an isotropic sample.
     """
-    try:
-        plain(source)
-    except OSError as error:
-        raise NacreError(f"{source}: {why_unreadable(error)}") from None
+    size_of(source)  # refuses a missing file
     if source.suffix.lower() in (".gltf", ".glb", ".mtlx") or _is_materialx(source):
         return _import_film(source, recipe, (options or ReadOptions()).spectrum)
     try:
@@ -336,8 +306,8 @@ def _check_energy(source: Path, lobe: TableLobe) -> list[str]:
     """
     low, high = float(lobe.values.min()), float(lobe.values.max())
     is_spectral = lobe.values.shape[-1] != 3  # colour channels of a measurement may be negative
-    if not np.isfinite(low + high) or (is_spectral and low < -ROUNDING * high) or high > MAX_VALUE:
-        raise NacreError(f"{source}: holds BSDF values below 0 or beyond {MAX_VALUE:g}; none has them")
+    if not np.isfinite(low + high) or (is_spectral and low < -ROUNDING * high) or high > measured_lobes.MAX_VALUE:
+        raise NacreError(f"{source}: holds BSDF values below 0 or beyond {measured_lobes.MAX_VALUE:g}; none has them")
     for angle in ENERGY_ANGLES_DEG:
         sums = np.sum(lobe.hemispherical(direction(np.radians(angle))), axis=0)
         worst, nm = float(sums.max()), lobe.wavelengths_nm[int(np.argmax(sums))]
@@ -401,8 +371,6 @@ def _import_film(source: Path, recipe: Path, name: str | None = None) -> list[st
 
 def _write_grey(path: Path, thickness: ThicknessMap) -> None:
     """Write a thickness map as a grey picture with 16 bits; white is the thickest."""
-    from nacre.formats.number_maps import GREY, write_png_stream
-
     unit = np.clip(thickness.image, 0.0, 1.0)
     unit = 1.0 - unit if thickness.low_nm > thickness.high_nm else unit
     rows = np.round(65535 * unit).astype(np.uint16)
@@ -420,9 +388,9 @@ def _import_bsdf(source: Path, options: ReadOptions, law: str | None) -> tuple[T
         return _on_own_nodes(source, entry.id)
     measured = entry.read(source, options)
     table = next((m for m in measured if m.metadata.get("scatter") != "btdf"), measured[0])
-    data, remarks = gonio_data(table)
-    lobe, said = measured_table(data, str(source), law)
-    lobe, more = with_spectra(lobe, table)
+    data, remarks = measured_lobes.gonio_data(table)
+    lobe, said = measured_lobes.measured_table(data, str(source), law)
+    lobe, more = measured_lobes.with_spectra(lobe, table)
     left = [f"{m.metadata.get('scatter', 'part')} {m.name}: not imported" for m in measured if m is not table]
     remarks = [line for line in remarks if not line.endswith("are kept")]  # `said` states what became of them
     return lobe, [*remarks, *said, *more, *left]
@@ -431,19 +399,16 @@ def _import_bsdf(source: Path, options: ReadOptions, law: str | None) -> tuple[T
 def _on_own_nodes(source: Path, form: str) -> tuple[TableLobe, list[str]]:
     """Return the table of a format with its own coordinates, and remarks."""
     if form == "merl":
-        table, remarks = read_merl_filled(source)
-        return merl_lobe(table), [RGB_REMARK, *remarks]
+        table, remarks = bsdf_tables.read_merl_filled(source)
+        return bsdf_tables.merl_lobe(table), [RGB_REMARK, *remarks]
     if form == "zemax":
-        from nacre.formats.bsdf_tables import zemax_lobe
-        from nacre.readers.bsdf.ray_tracers import read_zemax_table
-
         zemax = read_zemax_table(source)
         if len(zemax.incidence_deg) < 2:
             raise UnsupportedError(
                 f"has one incidence, {zemax.incidence_deg[0]:g} degrees, and determines no BRDF by itself; state a "
-                f"law: --law {LAWS[0]} (the BRDF depends on half and difference angle only)"
+                f"law: --law {measured_lobes.LAWS[0]} (the BRDF depends on half and difference angle only)"
             )
-        lobe, first = zemax_lobe(zemax), float(zemax.incidence_deg[0])
+        lobe, first = bsdf_tables.zemax_lobe(zemax), float(zemax.incidence_deg[0])
         remarks = ["the table holds no spectrum beyond its channels"]
         if first > 0:
             remarks.append(f"incidences below {first:g} degrees were not measured; the nearest values are held")
@@ -452,19 +417,15 @@ def _on_own_nodes(source: Path, form: str) -> tuple[TableLobe, list[str]]:
             what = "differ: the sample is anisotropic" if kept else "agree and were averaged"
             remarks.append(f"{len(zemax.rotation_deg)} sample rotations {what}")
         return lobe, remarks
-    from nacre.formats.bsdf_tables import RglBsdf
-
-    rgl = RglBsdf.read(source)
+    rgl = databases.RglBsdf.read(source)
     if not rgl.is_isotropic:
-        from nacre.formats.bsdf_tables import rgl_lobe
-
-        lobe, remarks = rgl_lobe(rgl)
+        lobe, remarks = bsdf_tables.rgl_lobe(rgl)
         return lobe, [*([RGB_REMARK] if rgl.wavelengths_nm is None else []), *remarks]
     wi, wo = directions_of("half", (90, 46, 24))
     values = rgl.evaluate(wi, wo)
     if rgl.wavelengths_nm is None:
         wavelengths = default_wavelengths()
-        return TableLobe(wavelengths, values, rgb_basis(wavelengths), "half"), [RGB_REMARK]
+        return TableLobe(wavelengths, values, measured_lobes.rgb_basis(wavelengths), "half"), [RGB_REMARK]
     return TableLobe(rgl.wavelengths_nm, values, np.eye(values.shape[-1]), "half"), []
 
 
@@ -479,28 +440,24 @@ def export_three(material: Material, folder: Path, illuminant: str, progress: Ca
         UnsupportedError: a table cannot represent the material, or its scattered light has no noise-free form.
         NacreError: the folder cannot be written.
     """
-    check_folder(folder)
+    lut.check_folder(folder)
     if not isinstance(material.model, Masked):
         part, lost = _part(material, illuminant, progress)
-        files = write_three(folder, material.name, [part], lost)
+        files = lut.write_three(folder, material.name, [part], lost)
         return {"illuminant": part.table.illuminant, "lost": lost, "files": files, "errors_dE00": _errors(part)}
-    parts: list[ThreePart] = []
+    parts: list[lut.ThreePart] = []
     lost = []
     both = ("first", material.model.first), ("second", material.model.second)
     for name, one in both:
-        try:
+        with _part_of_blend(name):
             refuse_orders(one)
-        except UnsupportedError as error:
-            raise UnsupportedError(f"the part {name} of the blend: {error}; export the other part alone") from None
     for name, one in both:
-        try:
+        with _part_of_blend(name):
             made, missing = _part(one, illuminant, _named(progress, name))
-        except UnsupportedError as error:
-            raise UnsupportedError(f"the part {name} of the blend: {error}; export the other part alone") from None
         parts.append(made)
         lost += [what for what in missing if what not in lost]
     share = _share(material.model.mask)
-    files = write_three(folder, material.name, parts, lost, share)
+    files = lut.write_three(folder, material.name, parts, lost, share)
     return {
         "illuminant": parts[0].table.illuminant, "lost": lost, "files": files, "mean_share": share.mean,
         "errors_dE00": {f"{name}: {what}": error for name, part in zip(("first", "second"), parts, strict=True)
@@ -512,11 +469,11 @@ def _named(progress: Callable[[str], None], name: str) -> Callable[[str], None]:
     return lambda what: progress(f"{name}: {what}")
 
 
-def _errors(part: ThreePart) -> dict[str, dict[str, float]]:
+def _errors(part: lut.ThreePart) -> dict[str, dict[str, float]]:
     return {what: dict(values) for what, values in part.table.errors.items()}
 
 
-def _part(material: Material, illuminant: str, progress: Callable[[str], None]) -> tuple[ThreePart, list[str]]:
+def _part(material: Material, illuminant: str, progress: Callable[[str], None]) -> tuple[lut.ThreePart, list[str]]:
     """Return a material's table with its colours under uniform light, and the lost properties."""
     table = make_table(material, illuminant, progress)
     scatters = any(closure.kind == "diffuse" for closure in table.closures)
@@ -532,18 +489,18 @@ def _part(material: Material, illuminant: str, progress: Callable[[str], None]) 
         lost.append("the colour of the light that passes: what lies behind is seen through the mean of its channels")
     if table.facets is not None and table.facets.alpha[0] == 0:
         lost.append("highlights of point lights: a smooth surface reflects the light from all around only")
-    return ThreePart(table, even, alphas), lost
+    return lut.ThreePart(table, even, alphas), lost
 
 
-def _share(mask: Texture) -> Share:
+def _share(mask: Texture) -> lut.Share:
     """Return the share of a blend's first material."""
     if mask.low == mask.high:
-        return Share(float(mask.low))
+        return lut.Share(float(mask.low))
     values = over_uv(mask)
-    return Share(float(np.mean(values)), values)
+    return lut.Share(float(np.mean(values)), values)
 
 
-def even_pictures(table: LightTable) -> tuple[dict[str, Picture], tuple[float, ...]]:
+def even_pictures(table: lut.LightTable) -> tuple[dict[str, lut.Picture], tuple[float, ...]]:
     """Return colours under uniform light over the view angle, and the roughness of each "gloss" band.
 
     "albedo": all reflected light; "through": directly transmitted light; "spread": scattered light in all directions,
@@ -567,7 +524,7 @@ def even_pictures(table: LightTable) -> tuple[dict[str, Picture], tuple[float, .
                 _added(old, _even(table, closure, side, rows))
                 for old, side in zip(sums.get(name, [None, None]), (closure.front, closure.behind), strict=True)
             ]
-    found = {"gloss": Picture(np.stack(gloss), "gloss under uniform light", rows=rows)} if gloss else {}
+    found = {"gloss": lut.Picture(np.stack(gloss), "gloss under uniform light", rows=rows)} if gloss else {}
     for name, (front, behind) in sums.items():
         bands = [part for part in (front, behind) if part is not None]
         if not bands or max(float(band.max()) for band in bands) <= 0.0:
@@ -576,7 +533,7 @@ def even_pictures(table: LightTable) -> tuple[dict[str, Picture], tuple[float, .
             bands.insert(0, np.zeros_like(bands[0]))
         count = max(len(band) for band in bands)
         values = np.stack([np.broadcast_to(band, (count, *band.shape[1:])) for band in bands])
-        found[name] = Picture(values, f"{name} under uniform light", rows=rows)
+        found[name] = lut.Picture(values, f"{name} under uniform light", rows=rows)
     return found, tuple(alphas)
 
 
@@ -584,13 +541,13 @@ def _added(old: Array | None, new: Array | None) -> Array | None:
     return new if old is None else old if new is None else old + new
 
 
-def _even(table: LightTable, closure: Closure, name: str | None, rows_over: str) -> Array | None:
+def _even(table: lut.LightTable, closure: lut.Closure, name: str | None, rows_over: str) -> Array | None:
     """Return the colours `[row, column, 3]` that a closure sends under uniform light, on one side."""
     if name is None:
         return None
-    picture, angles = table.pictures[name], np.minimum(column_angles(COLUMNS), STEEPEST)
+    picture, angles = table.pictures[name], np.minimum(lut.column_angles(COLUMNS), STEEPEST)
     count = picture.values.shape[1]
-    x = column_angles(COLUMNS) / (np.pi / 2)
+    x = lut.column_angles(COLUMNS) / (np.pi / 2)
     unit = np.linspace(0.0, 1.0, count) if count > 1 else np.zeros(1)
     values = np.stack([picture.at(x, np.full(COLUMNS, row)) for row in unit])
     if closure.alpha[0] == 0.0 or closure.kind not in ("glossy", "refract"):

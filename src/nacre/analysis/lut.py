@@ -24,20 +24,9 @@ from nacre.bsdf.texture import ParameterAxis, Texture, refuse_place
 from nacre.core.arrays import Array, direction, take_at
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.contract import Diffracting
+from nacre.formats import lut
 from nacre.formats.bsdf_tables import is_isotropic
-from nacre.formats.lut import (
-    Closure,
-    Facets,
-    LightTable,
-    Parameter,
-    Picture,
-    angle_coordinate,
-    as_png,
-    column_angles,
-    lobe_directions,
-    lobe_value,
-    lobe_weight,
-)
+from nacre.formats.lut import Closure, LightTable, Picture, column_angles
 from nacre.light import delta_e_2000, spectrum_to_rgb_matrix, srgb_linear_to_xyz, xyz_to_lab
 from nacre.light.tristimulus import Illuminant, illuminant, weighted_sum
 from nacre.material.material import Material, StoredBsdf
@@ -376,8 +365,8 @@ def _lobe(steady: Bsdf | None, transmits: bool, to_rgb: ToRgb) -> tuple[Picture 
     about = "scattered light, pi f 2 cos_i cos_o / (cos_i + cos_o), over half angle, difference angle and its azimuth"
     if steady is None:
         return None, (*lost, "GLSL: scattered light, a random walk without a noise-free form")
-    wi, wo = lobe_directions(*LOBE_SHAPE)
-    weight = np.pi * lobe_weight(wi, wo)[..., None]
+    wi, wo = lut.lobe_directions(*LOBE_SHAPE)
+    weight = np.pi * lut.lobe_weight(wi, wo)[..., None]
     return Picture(_evaluated(steady, wi, wo, to_rgb) * weight, about), lost
 
 
@@ -473,7 +462,7 @@ def _baked(material: Material, bsdf: Bsdf, light: Illuminant, progress: Progress
     axes = {axis.name: axis for lobe in interfaces for axis in lobe.parameters}
     if axes:
         (axis,) = axes.values()
-        parameter = Parameter(axis.name, float(axis.values[0]), float(axis.values[-1]))
+        parameter = lut.Parameter(axis.name, float(axis.values[0]), float(axis.values[-1]))
         pictures["map"] = Picture(
             np.repeat(map_over_uv(axis)[None, ..., None], 3, axis=-1), f"{axis.name} over uv, from 0 to 1", is_data=True
         )
@@ -574,21 +563,21 @@ def over_uv(texture: Texture) -> Array:
 def _bake_interface(
     lobes: list[Specular | Microfacet], mirror: Array | None, to_rgb: Callable[[Array], Array],
     pictures: dict[str, Picture], closures: list[Closure], errors: dict[str, dict[str, float]],
-) -> Facets:  # fmt: skip
+) -> lut.Facets:  # fmt: skip
     """Add the pictures and closures of specular and microfacet lobes."""
     if mirror is not None:
         values = to_rgb(mirror)[None]
         pictures["facet"] = Picture(values[None], "reflectance over the angle of incidence")
         pictures["mirror"] = Picture(values[None], "colour of the mirror over the angle of view")
         closures.append(Closure("glossy", "mirror"))
-        return Facets("ggx", (0.0, 0.0), 1.0, False, False, False)
+        return lut.Facets("ggx", (0.0, 0.0), 1.0, False, False, False)
     rough = next((lobe for lobe in lobes if isinstance(lobe, Microfacet)), None)
     lobe = rough or lobes[0]
     response = _joined([coloured(each.response, to_rgb) for each in lobes])
     alpha = (rough.alpha_x, rough.alpha_y) if rough else (0.0, 0.0)
     distribution = rough.distribution if rough else "ggx"
     bends = rough is not None and rough.transmits
-    facets = Facets(distribution, alpha, response.eta, response.flipped, response.transmits, not bends)
+    facets = lut.Facets(distribution, alpha, response.eta, response.flipped, response.transmits, not bends)
     pictures["facet"] = Picture(facet_bands(response), "what a facet reflects and passes, over the angle to the light")
     is_body = response.transmits and response.eta > 1.0 and not response.flipped
     within = entered(lobe.response, to_rgb) if is_body else response
@@ -667,7 +656,7 @@ def _interface_errors(
     found = {}
     reflected, _ = sides(response, np.cos(theta), response.flipped)
     wanted = reflected[rows, np.arange(CHECKED)]
-    at = (angle_coordinate(np.cos(theta)), rows / last)
+    at = (lut.angle_coordinate(np.cos(theta)), rows / last)
     found["reflectance of a facet"] = compared(pictures["facet"], lambda p: p.at(*at), wanted)
     if rough is None:
         return found
@@ -722,7 +711,7 @@ def _scatter_errors(bsdf: Bsdf, scatter: Scatter, to_rgb: Callable[[Array], Arra
     """Compare scattered light with nacre under one lamp at direction pairs."""
     theta = np.radians(CHECKED_DEG)
     back = [sum(hemispherical(lobe, w, nodes=PATHS, seed=1)[0] for lobe in bsdf.lobes) for w in direction(theta, 0.0)]
-    x = angle_coordinate(np.cos(theta))
+    x = lut.angle_coordinate(np.cos(theta))
 
     def glossy(alpha: float, colours: Array) -> Array:
         kept = np.array([ClosureLoss("ggx", (alpha, alpha)).kept(w)[0] for w in direction(theta, 0.0)])
@@ -739,7 +728,7 @@ def _scatter_errors(bsdf: Bsdf, scatter: Scatter, to_rgb: Callable[[Array], Arra
         values, _ = evaluate_with_error(bsdf, wi, wo, samples=CHECKED_WALKS, seed=1)
         wanted = np.pi * wi[:, 2:] * to_rgb(np.nan_to_num(values))
         found["scattered light, lit from one direction"] = compared(
-            scatter.lobe, lambda p: np.pi * wi[:, 2:] * lobe_value(p, wi, wo), wanted
+            scatter.lobe, lambda p: np.pi * wi[:, 2:] * lut.lobe_value(p, wi, wo), wanted
         )
     return found
 
@@ -748,7 +737,7 @@ def compared(picture: Picture, look_up: Callable[[Picture], Array], wanted: Arra
     """Return mean and largest dE00 of the colours in the EXR and in the PNG."""
     lab = _lab(wanted)
     errors: dict[str, float] = {}
-    for ending, held in (("", picture), ("_png", as_png(picture))):
+    for ending, held in (("", picture), ("_png", lut.as_png(picture))):
         difference = np.asarray(delta_e_2000(_lab(look_up(held)), lab))
         errors |= {f"mean{ending}": float(difference.mean()), f"max{ending}": float(difference.max())}
     return errors

@@ -18,15 +18,7 @@ from typing import Any
 import click
 
 from nacre._version import __version__
-from nacre.cli.common import (
-    STATUS_BAD_INPUT,
-    STATUS_INTERRUPTED,
-    compile_listener,
-    hold_closed_streams,
-    listener,
-    say,
-    stopped_line,
-)
+from nacre.cli import common
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import stored
 from nacre.core.jit import may_be_stored, on_compile, spare_compilation
@@ -112,7 +104,7 @@ def main(argv: list[str] | None = None) -> None:
 
     `--debug` shows tracebacks in place of one-line errors; `--yes` confirms work of minutes.
     """
-    hold_closed_streams()
+    common.hold_closed_streams()
     # garbage collection of the million imported objects takes 0.3 s by default
     gc.set_threshold(GARBAGE_AFTER)
     atexit.register(gc.freeze)  # and 0.2 s at exit
@@ -131,22 +123,22 @@ def run(argv: list[str]) -> int:
     try:
         if any("\0" in word for word in argv):
             raise NacreError("an argument holds a NUL character, which no file name and no number has")
-        with on_progress(listener(yes)), on_compile(compile_listener()), warnings.catch_warnings():
+        with on_progress(common.listener(yes)), on_compile(common.compile_listener()), warnings.catch_warnings():
             warnings.showwarning = _say_warning  # type: ignore[assignment]  # takes the rest by *where
             cli.main(args=argv, prog_name="nacre", standalone_mode=False)
         sys.stdout.flush()
     except (KeyboardInterrupt, click.Abort):
         if debug:
             raise
-        say(stopped_line())
-        return STATUS_INTERRUPTED
+        common.say(common.stopped_line())
+        return common.STATUS_INTERRUPTED
     except click.exceptions.Exit as leave:
         return leave.exit_code
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         command = f" {context.info_name}" if context is not None and context.parent is not None else ""
-        say(f"nacre{command}: {error.format_message()}")
-        return STATUS_BAD_INPUT
+        common.say(f"nacre{command}: {error.format_message()}")
+        return common.STATUS_BAD_INPUT
     except BrokenPipeError:
         # the reader of the output has ended (`nacre ... | head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -154,24 +146,24 @@ def run(argv: list[str]) -> int:
     except NacreError as error:
         if debug:
             raise
-        say(f"nacre: {error}")
-        return STATUS_BAD_INPUT
+        common.say(f"nacre: {error}")
+        return common.STATUS_BAD_INPUT
     except (OSError, MemoryError) as error:
         if debug:
             raise
         what = "not enough memory; try a smaller size" if isinstance(error, MemoryError) else _os_line(error)
-        say(f"nacre: {what}")
-        return STATUS_BAD_INPUT
+        common.say(f"nacre: {what}")
+        return common.STATUS_BAD_INPUT
     except Exception as error:
         if debug:
             raise
         if _was_interrupted(error):
-            say(stopped_line())
-            return STATUS_INTERRUPTED
+            common.say(common.stopped_line())
+            return common.STATUS_INTERRUPTED
         if isinstance(error, ModuleNotFoundError) and (line := missing_line(error.name or "")):
-            say(f"nacre: {line}")
-            return STATUS_BAD_INPUT
-        say(
+            common.say(f"nacre: {line}")
+            return common.STATUS_BAD_INPUT
+        common.say(
             f"nacre: this is a bug in nacre, please report it: {type(error).__name__}: "
             f"{str(error)[:300]} (run again with --debug for the details)"
         )
@@ -182,9 +174,9 @@ def run(argv: list[str]) -> int:
 def _say_warning(message: Warning | str, category: type[Warning], *where: Any) -> None:
     """Print a warning of nacre as a message, without the line of code."""
     if category.__module__.partition(".")[0] == "nacre":
-        say(str(message))
+        common.say(str(message))
     else:
-        say(f"{category.__name__}: {message}")
+        common.say(f"{category.__name__}: {message}")
 
 
 def _was_interrupted(error: BaseException | None) -> bool:

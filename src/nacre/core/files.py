@@ -357,6 +357,36 @@ def plain(path: str | Path) -> Path:
     return Path(path)
 
 
+@contextlib.contextmanager
+def reading(place: str | Path, kind: type[NacreError] = NacreError) -> Iterator[None]:
+    """Report a file that cannot be read in one line, which begins with its place.
+
+    Raises:
+        NacreError: in place of an OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{place}: {why_unreadable(error)}") from None
+
+
+def size_of(path: Path, place: str | Path | None = None, most_bytes: int | None = None) -> int:
+    """Return the size of a regular file in bytes.
+
+    Args:
+        place: begins the message; default: the path.
+
+    Raises:
+        NacreError: missing, unreadable, larger than allowed, or a folder, a device or a pipe.
+    """
+    place = path if place is None else place
+    with reading(place):
+        size = plain(path).stat().st_size
+    if most_bytes is not None and size > most_bytes:
+        raise NacreError(f"{place}: has {size / 1e6:.4g} MB; at most {most_bytes / 1e6:.4g} MB are read")
+    return size
+
+
 def why_unreadable(error: OSError) -> str:
     """Return why a file cannot be read, to follow its name or key in a message.
 
@@ -425,15 +455,10 @@ def read_text(path: str | Path, what: str = "file") -> str:
     """
     path = Path(path)
     try:
-        with _opened(path) as file:
+        with reading(path, RecipeError), _opened(path) as file:
             data = file.read(MAX_TOML_BYTES + 1)
         if len(data) > MAX_TOML_BYTES:
             raise RecipeError(f"{path}: is larger than {MAX_TOML_BYTES} bytes, the most that a {what} may have")
         return data.decode("utf-8-sig")
-    except IsADirectoryError:
-        article = "an" if what[:1] in "aeiou" else "a"
-        raise RecipeError(f"{path}: is a folder, not {article} {what}") from None
     except UnicodeDecodeError:
         raise RecipeError(f"{path}: is not UTF-8 text") from None
-    except OSError as error:
-        raise RecipeError(f"{path}: {why_unreadable(error)}") from None

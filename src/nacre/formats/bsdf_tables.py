@@ -24,18 +24,8 @@ from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path, reraise_as_oserror
 from nacre.formats.measured_lobes import ANISOTROPIC, GonioData, periodic_turns, rgb_basis
 from nacre.light import default_wavelengths, spectrum_to_rgb_linear, spectrum_to_xyz, xyz_to_srgb_linear
-from nacre.readers.bsdf.databases import (
-    MAGIC,
-    SCALE,
-    SHAPE,
-    TYPES,
-    RglBsdf,
-    Warp,
-    bin_angles,
-    bin_remarks,
-    is_up,
-    read_raw,
-)
+from nacre.readers.bsdf import databases
+from nacre.readers.bsdf.databases import SHAPE, RglBsdf, Warp
 from nacre.readers.bsdf.ray_tracers import CHANNELS, ZemaxBsdf, scatter_direction
 
 MIN_COS = 1e-4  # bins below the horizon are 0
@@ -43,7 +33,7 @@ MIN_COS = 1e-4  # bins below the horizon are 0
 
 def bin_directions() -> tuple[Array, Array]:
     """Return wi and wo at the bin centres, each `[theta_half, theta_diff, phi_diff, 3]`."""
-    return from_half_difference(*bin_angles())
+    return from_half_difference(*databases.bin_angles())
 
 
 def merl_table(bsdf: Bsdf, block: int = 1 << 16) -> Array:
@@ -68,7 +58,7 @@ def write_merl(path: str | Path, table: Array) -> None:
     Raises:
         NacreError: the file cannot be written.
     """
-    planes = np.moveaxis(np.asarray(table, dtype=float), -1, 0) / SCALE[:, None, None, None]
+    planes = np.moveaxis(np.asarray(table, dtype=float), -1, 0) / databases.SCALE[:, None, None, None]
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         file.write(np.array(SHAPE, "<i4").tobytes())
         file.write(planes.astype("<f8").tobytes())
@@ -83,9 +73,9 @@ def read_merl_filled(path: str | Path) -> tuple[Array, list[str]]:
     Raises:
         NacreError: not a MERL file, damaged, or without valid bins.
     """
-    table = read_raw(path)
-    remarks = bin_remarks(table)
-    up, invalid = is_up(), np.isnan(table).any(axis=-1)
+    table = databases.read_raw(path)
+    remarks = databases.bin_remarks(table)
+    up, invalid = databases.is_up(), np.isnan(table).any(axis=-1)
     if not np.any(up & ~invalid):
         raise NacreError(f"{path}: holds no valid bin above the surface")
     if np.any(invalid & up):
@@ -387,9 +377,9 @@ NDF_FLOOR = 1e-4  # relative to the peak; dark directions must remain sampled
 
 def write_tensor(path: str | Path, fields: Mapping[str, NDArray[Any]]) -> None:
     """Write named arrays as a tensor file, version 1.0, atomically."""
-    codes = {np.dtype(text): code for code, text in TYPES.items()}
+    codes = {np.dtype(text): code for code, text in databases.TYPES.items()}
     arrays = {name: np.ascontiguousarray(value) for name, value in fields.items()}
-    header = MAGIC + struct.pack("<BBI", 1, 0, len(arrays))
+    header = databases.MAGIC + struct.pack("<BBI", 1, 0, len(arrays))
     size = len(header) + sum(2 + len(n.encode()) + 2 + 1 + 8 + 8 * a.ndim for n, a in arrays.items())
     parts, offset = [header], size
     for name, array in arrays.items():

@@ -21,7 +21,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
-from nacre.core.files import plain, why_unreadable
+from nacre.core.files import plain, reading, size_of
 from nacre.light import srgb_decode
 
 MAX_BYTES = 16 << 20
@@ -183,7 +183,8 @@ def read_gltf(path: str | Path, name: str | None = None) -> ThinFilm:
     """
     path = Path(path)
     try:
-        document = json.loads(_gltf_json(plain(path).read_bytes()))
+        with reading(path):
+            document = json.loads(_gltf_json(plain(path).read_bytes()))
         materials = [m for m in document.get("materials", []) if IRIDESCENCE in m.get("extensions", {})]
         if materials:
             weights = [_number(m["extensions"][IRIDESCENCE], "iridescenceFactor", 0.0) for m in materials]
@@ -192,8 +193,6 @@ def read_gltf(path: str | Path, name: str | None = None) -> ThinFilm:
             names = [str(m.get("name") or f"material {i}") for i, m in enumerate(films)]
             place, remarks = chosen(names, name, path)
             return _gltf_film(films[place], remarks, path, document)
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
     except (ValueError, TypeError, AttributeError, RecursionError, struct.error):
         raise NacreError(f"{path}: is not a glTF (.gltf, .glb) file, or is damaged") from None
     raise NacreError(f"{path}: no material has {IRIDESCENCE}")
@@ -289,9 +288,9 @@ def read_materialx(path: str | Path, name: str | None = None) -> ThinFilm:
     """
     path = Path(path)
     try:
-        if plain(path).stat().st_size > MAX_BYTES:
-            raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
-        text = path.read_text(encoding="utf-8-sig")
+        size_of(path, most_bytes=MAX_BYTES)
+        with reading(path):
+            text = path.read_text(encoding="utf-8-sig")
         if "<!DOCTYPE" in text or "<!ENTITY" in text:
             # entities can expand to gigabytes and are not part of MaterialX
             raise NacreError(f"{path}: holds a document type declaration, which MaterialX does not use")
@@ -302,8 +301,6 @@ def read_materialx(path: str | Path, name: str | None = None) -> ThinFilm:
             names = [node.get("name") or node.tag for node, _ in films]
             place, remarks = chosen(names, name, path)
             return _materialx_film(*films[place], root.get("colorspace", ""), remarks, path)
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
     except (ET.ParseError, UnicodeDecodeError):
         raise NacreError(f"{path}: is not a MaterialX document, or is damaged") from None
     except ValueError as error:
@@ -433,9 +430,9 @@ def _colour(
     return (r, g, b), [] if is_plain else [f"base colour was converted from {space} to linear Rec. 709"]
 
 
-# Pictures that a glTF file contains or names.
+# Pictures that a file contains or names.
 
-GREEN = 1
+RED, GREEN = 0, 1
 MAX_PICTURE_BYTES, MAX_PIXELS = 64 << 20, 1 << 26
 DATA = "data:"
 
@@ -448,18 +445,51 @@ def green_channel(path: Path, document: Mapping[str, Any], texture: Mapping[str,
         document: its JSON.
         texture: the reference of a material, with `index`.
     """
+    try:
+        image = document["images"][document["textures"][texture["index"]]["source"]]
+        return _channel(io.BytesIO(_content(path, document, image)), GREEN)
+    except (KeyError, IndexError, TypeError, ValueError, OSError, struct.error):
+        return None
+
+
+def read_red(folder: Path, name: str) -> Array | None:
+    """Return the first channel of an image in a folder, from 0 to 1; None if it cannot be read."""
+    try:
+        return _channel(_below(folder, name), RED)
+    except (ValueError, OSError):
+        return None
+
+
+def _channel(file: Path | io.BytesIO, channel: int) -> Array | None:
+    """Return one channel of an image `[row, column]`, from 0 to 1; None if it is too large.
+
+    Raises:
+        ValueError: the file is damaged.
+        OSError: the file cannot be read, or is no image.
+    """
     from PIL import Image
 
     try:
-        image = document["images"][document["textures"][texture["index"]]["source"]]
-        with Image.open(io.BytesIO(_content(path, document, image))) as opened:
+        with Image.open(file) as opened:
             if opened.width * opened.height > MAX_PIXELS:
                 return None
             if opened.mode.startswith("I"):  # 16 bits, one channel
                 return np.asarray(opened, dtype=float) / 65535.0
-            return np.asarray(opened.convert("RGB"), dtype=float)[..., GREEN] / 255.0
-    except (KeyError, IndexError, TypeError, ValueError, OSError, struct.error, Image.DecompressionBombError):
+            return np.asarray(opened.convert("RGB"), dtype=float)[..., channel] / 255.0
+    except Image.DecompressionBombError:
         return None
+
+
+def _below(folder: Path, name: str) -> Path:
+    """Return a regular file in a folder or below it.
+
+    Raises:
+        ValueError: the name leads out of the folder.
+        OSError: there is no regular file of this name.
+    """
+    if Path(name).is_absolute() or ".." in Path(name).parts:
+        raise ValueError("outside the folder")
+    return plain(folder / name)
 
 
 def _content(path: Path, document: Mapping[str, Any], image: Mapping[str, Any]) -> bytes:
@@ -476,10 +506,7 @@ def _resource(path: Path, uri: str) -> bytes:
     """Return the bytes of a data URI or of a file beside the document."""
     if uri.startswith(DATA):
         return base64.b64decode(uri.partition(",")[2])
-    name = Path(unquote(uri))
-    if name.is_absolute() or ".." in name.parts:
-        raise ValueError("outside the folder")
-    file = plain(path.parent / name)
+    file = _below(path.parent, unquote(uri))
     if file.stat().st_size > MAX_PICTURE_BYTES:
         raise ValueError("too large")
     return file.read_bytes()
@@ -500,7 +527,6 @@ def _binary(path: Path) -> bytes:
 # by `shaderref` and `bindinput`, are read as well.
 
 DEEPEST = 32  # connections in a row
-MAX_MAP_PIXELS = 1 << 26
 IMAGES = ("image", "tiledimage")
 SAME = ("dot", "convert")
 ONES = ("1, 1", "1,1", "1.0, 1.0", "1.0,1.0")
@@ -678,20 +704,3 @@ def _product(first: Number | None, second: Number | None) -> Number | None:
     if second.image is None:
         return first.scaled(second.constant)
     return second.scaled(first.constant) if first.image is None else None
-
-
-def read_red(folder: Path, name: str) -> Array | None:
-    """Return the first channel of an image in a folder, from 0 to 1; None if it cannot be read."""
-    from PIL import Image
-
-    place = Path(name)
-    if place.is_absolute() or ".." in place.parts:
-        return None
-    try:
-        with Image.open(plain(folder / place)) as opened:
-            if opened.width * opened.height > MAX_MAP_PIXELS:
-                return None
-            values = np.asarray(opened, dtype=float) / (65535.0 if opened.mode.startswith("I") else 255.0)
-            return values if values.ndim == 2 else values[..., 0]
-    except (OSError, ValueError, Image.DecompressionBombError):
-        return None

@@ -15,7 +15,7 @@ import numpy as np
 
 from nacre.core.arrays import Array, floats
 from nacre.core.errors import NacreError, RecipeError
-from nacre.core.files import named, plain, why_unreadable
+from nacre.core.files import named, size_of
 from nacre.light import lch_to_lab
 from nacre.optimise.targets import plausible
 from nacre.readers.colour_tables import check_scale, named_lab
@@ -24,7 +24,7 @@ from nacre.readers.headings import Meaning, light_above, meanings
 from nacre.readers.measurement import Measurement
 from nacre.readers.registry import POSSIBLE, open_file, recognise
 from nacre.readers.table import srgb_of_hex
-from nacre.readers.text_table import TextTable, decode, find_delimiter, parse_tables, split
+from nacre.readers.text_table import TextTable, find_delimiter, load_text, parse_tables, split
 from nacre.readers.text_table import number as number_of
 from nacre.readers.units import UNITS
 from nacre.recipe.model import show_value
@@ -107,11 +107,7 @@ def read_colours(
 
 def _recognised_rows(path: Path, targets: int, light: tuple[str, str]) -> list[ColourRow]:
     """Return the colours of a file that is a known colour list or a table of spectra; empty for plain tables."""
-    try:
-        plain(path)
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
-    if path.stat().st_size == 0:
+    if size_of(path) == 0:
         return []
     found = recognise(path)
     if found and found[0][1].id == "other":
@@ -125,15 +121,8 @@ def _recognised_rows(path: Path, targets: int, light: tuple[str, str]) -> list[C
 def _file_rows(
     path: Path, targets: int, light: tuple[str, str] | None, geometries: Sequence[str], quantities: Sequence[str]
 ) -> list[ColourRow]:
+    text = load_text(path, MAX_BYTES)
     try:
-        with plain(path).open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
-    if len(data) > MAX_BYTES:
-        raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
-    try:
-        text = decode(data)
         named_hex = _hex_rows(path, list(cells_of(text)), targets, light or DEFAULT_LIGHT)
         if len(named_hex) > MAX_ROWS:
             raise NacreError(f"{path}: contains {len(named_hex)} rows; at most {MAX_ROWS} are allowed")
@@ -141,7 +130,7 @@ def _file_rows(
             return named_hex
         table = _headed(path, text)
         lines = [] if table is not None else list(cells_of(text))
-    except (UnicodeDecodeError, csv.Error):
+    except csv.Error:
         raise NacreError(f"{path}: is not a CSV of L, a, b") from None
     count = len(lines) if table is None else len(table.rows)
     if count > MAX_ROWS:

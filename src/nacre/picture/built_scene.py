@@ -13,7 +13,7 @@ import numpy as np
 from nacre.bsdf import Bsdf
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.core.files import plain, why_unreadable
+from nacre.core.files import size_of
 from nacre.device.tables import ObjectFrame
 from nacre.picture.camera import Framing, View
 from nacre.picture.emitters import Light
@@ -212,10 +212,7 @@ class UserScene:
     infinite_backdrop = None
 
     def __init__(self, path: Path) -> None:
-        try:
-            plain(path)
-        except OSError as error:
-            raise NacreError(f"scene {path}: {why_unreadable(error)}") from None
+        size_of(path, f"scene {path}")  # refuses a missing file
         logger = mi.logger()
         level = logger.log_level()
         logger.set_log_level(mi.LogLevel.Error)  # relevant warnings are errors below

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
-from nacre.core.files import plain, why_unreadable
+from nacre.core.files import size_of
 from nacre.device.variant import depolarised
 from nacre.light import illuminant as light_illuminant
 from nacre.picture import environments
@@ -504,14 +504,7 @@ def check_light(name: str) -> str:
         return name
     path = Path(name)
     if path.suffix.lower() in MAP_SUFFIXES:
-        try:
-            plain(path)
-        except OSError as error:
-            raise NacreError(f"light {name}: {why_unreadable(error)}") from None
-        if path.stat().st_size > MAX_MAP_BYTES:
-            raise NacreError(
-                f"light {name}: {path.stat().st_size} bytes; an environment map has at most {MAX_MAP_BYTES}"
-            )
+        size_of(path, f"light {name}", MAX_MAP_BYTES)  # refuses a missing file
         return name
     raise NacreError(
         f'light "{name}" is not known.{did_you_mean(name, LIGHTS)} '

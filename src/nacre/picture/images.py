@@ -23,20 +23,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre import light
 from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path, reraise_as_oserror
 from nacre.core.html import png_bytes
-from nacre.light import (
-    SRGB_WHITE_XYZ,
-    adapt_xyz,
-    clip_to_srgb,
-    outside_srgb,
-    srgb_encode,
-    white_xyz,
-    xyz_to_srgb_linear,
-)
 
 Exposure = float | Literal["auto"]
 AUTO_PERCENTILE = 98.5
@@ -125,15 +117,15 @@ def develop(xyz: Array, illuminant: str, exposure: Exposure = "auto") -> tuple[A
     stops = auto_stops(xyz) if exposure == "auto" else float(exposure)
     rgb: Array = np.empty_like(xyz, dtype=float)
     for part in _row_parts(rgb):
-        balanced = adapt_xyz(xyz[part], white_xyz(illuminant), SRGB_WHITE_XYZ)
-        rgb[part] = xyz_to_srgb_linear(balanced) * 2.0**stops
+        balanced = light.adapt_xyz(xyz[part], light.white_xyz(illuminant), light.SRGB_WHITE_XYZ)
+        rgb[part] = light.xyz_to_srgb_linear(balanced) * 2.0**stops
     return rgb, stops
 
 
 def encode(rgb: Array, tone: str = "srgb") -> tuple[NDArray[np.uint8], int]:
     """Return 8-bit sRGB and the number moved into the gamut."""
-    clipped = clip_to_srgb(toned(rgb, tone))
-    return np.round(255.0 * srgb_encode(clipped.rgb)).astype(np.uint8), clipped.count
+    clipped = light.clip_to_srgb(toned(rgb, tone))
+    return np.round(255.0 * light.srgb_encode(clipped.rgb)).astype(np.uint8), clipped.count
 
 
 def toned(rgb: Array, tone: str) -> Array:
@@ -157,7 +149,7 @@ def count_clipped(rgb: Array, alpha: Array | None, tone: str) -> int:
     count = 0
     for part in _row_parts(rgb):
         colours = rgb[part] if alpha is None else _uncovered(rgb[part], np.clip(alpha[part], 0.0, 1.0)[..., None])
-        count += int(np.count_nonzero(outside_srgb(toned(colours, tone))))
+        count += int(np.count_nonzero(light.outside_srgb(toned(colours, tone))))
     return count
 
 
@@ -184,11 +176,11 @@ def show(
     if alpha is None:
         return encode(rgb, tone)
     cover = np.clip(alpha, 0.0, 1.0)[..., None]
-    clipped = clip_to_srgb(toned(_uncovered(rgb, cover), tone))
+    clipped = light.clip_to_srgb(toned(_uncovered(rgb, cover), tone))
     if background is None:
-        pixels = np.concatenate([srgb_encode(clipped.rgb), cover], axis=-1)
+        pixels = np.concatenate([light.srgb_encode(clipped.rgb), cover], axis=-1)
     else:
-        pixels = srgb_encode(cover * clipped.rgb + (1.0 - cover) * np.array(background))
+        pixels = light.srgb_encode(cover * clipped.rgb + (1.0 - cover) * np.array(background))
     return np.round(255.0 * pixels).astype(np.uint8), clipped.count
 
 
@@ -327,7 +319,7 @@ def write_exr(path: str | Path, result: RenderResult) -> None:
     """
     import OpenEXR
 
-    white = white_xyz(str(result.stats.get("illuminant", "D65")))
+    white = light.white_xyz(str(result.stats.get("illuminant", "D65")))
     channels: dict[str, Any] = {}
 
     def add(layer: str, names: str, values: Array | NDArray[np.float32]) -> None:
@@ -338,7 +330,7 @@ def write_exr(path: str | Path, result: RenderResult) -> None:
     lights = {f"light.{name.replace('.', ',')}.": xyz for name, xyz in result.lights.items()}
     for layer, xyz in {"": result.xyz, "raw.": result.raw, **lights}.items():
         if xyz is not None:
-            add(layer, "RGB", xyz_to_srgb_linear(adapt_xyz(xyz, white, SRGB_WHITE_XYZ)))
+            add(layer, "RGB", light.xyz_to_srgb_linear(light.adapt_xyz(xyz, white, light.SRGB_WHITE_XYZ)))
     if result.alpha is not None:
         add("", "A", result.alpha[..., None])
     for name, (letters, values) in result.layers.items():

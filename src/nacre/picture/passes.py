@@ -23,17 +23,8 @@ from nacre.core.progress import Clock, ProgressCallback
 from nacre.device.variant import depolarised
 from nacre.light import xyz_weights
 from nacre.light.tristimulus import observer, table_wavelengths_nm
-from nacre.picture import interrupt
+from nacre.picture import denoise, interrupt
 from nacre.picture.camera import View
-from nacre.picture.denoise import (
-    AOV_SPP,
-    EVEN_AOV_SPP,
-    AovSampling,
-    aov_integrator,
-    aov_sampling,
-    first_hits,
-    has_random_walks,
-)
 from nacre.picture.emitters import analysed
 from nacre.picture.paths import DRAWS, can_split, cut_out, make_paths, sees_objects
 from nacre.picture.plugins import WrappedIntegrator, begin, continued_sampler, dr, make_plugin, mi
@@ -199,13 +190,13 @@ class _Passes:
         most = max(1, PASS_SAMPLES // (width * height))
         # long-tailed random-walk noise agrees between halves by chance and would return as texture
         has_halves = settings.with_aovs and not settings.spectral and until.spp > 1
-        self.halved = has_halves and not has_random_walks(self.scene)
+        self.halved = has_halves and not denoise.has_random_walks(self.scene)
         if self.halved and not until.is_open:
             most = min(most, (until.spp + 1) // 2)
         self.plan = pass_plan(until.spp, most, until.is_open)
         is_counted = sees_objects(self.scene, sensor, scene.objects, settings.size) if until.is_open else None
         self.spread = Spread(is_counted)
-        self.sampling = aov_sampling(self.scene, is_ours=getattr(scene, "light", None) is not None)
+        self.sampling = denoise.aov_sampling(self.scene, is_ours=getattr(scene, "light", None) is not None)
         self.total: NDArray[np.float64] | None = None
         self.half, self.in_half = np.zeros(0, dtype=np.float32), 0
         self.done, self.stopped = 0, False
@@ -305,7 +296,7 @@ class _Passes:
         All pixels use equal numbers unless paths are chosen at random; grain would appear as texture or
         blur thin lines.
         """
-        integrator = self._divided(aov_integrator(self.scene, self.sampling))
+        integrator = self._divided(denoise.aov_integrator(self.scene, self.sampling))
         counts = _aov_counts(self.settings, self.sampling)
         most = max(1, PASS_SAMPLES // (self.camera.size[0] * self.camera.rows))
         seed = pass_seed(self.settings.seed, AOVS_FROM)
@@ -321,18 +312,18 @@ class _Passes:
                     made = self.camera.render_tile(tile, self.scene, integrator, samples)
                     seen = seen + part.spp * made[..., [0, 1, 2, -4, -3, -2, -1]]
                 done = count
-                for name, values in first_hits(np.asarray(seen / done, dtype=float)).items():
+                for name, values in denoise.first_hits(np.asarray(seen / done, dtype=float)).items():
                     if name not in into:
                         into[name] = np.empty((self.camera.size[1], *values.shape[1:]), dtype=np.float32)
                     into[name][tile.kept] = values[tile.inner]
 
 
-def _aov_counts(settings: RenderSettings, sampling: AovSampling) -> tuple[int, int]:
+def _aov_counts(settings: RenderSettings, sampling: denoise.AovSampling) -> tuple[int, int]:
     """Return the samples per pixel for denoiser AOVs and display AOVs."""
     spp = settings.until.spp
     most = AOVS_PER_SAMPLE * spp if sampling.has_grain else max(MIN_AOVS, spp)
-    samples = min(AOV_SPP if sampling.has_grain else EVEN_AOV_SPP, most)
-    return samples, max(samples, min(AOV_SPP, most) if settings.with_layers else 0)
+    samples = min(denoise.AOV_SPP if sampling.has_grain else denoise.EVEN_AOV_SPP, most)
+    return samples, max(samples, min(denoise.AOV_SPP, most) if settings.with_layers else 0)
 
 
 def _remaining(until: Until, plan: Sequence[Part], done: int, noise: float | None, seconds: float) -> tuple[int, bool]:
@@ -409,7 +400,7 @@ def _tracer(scene: Any) -> Any:
         soft, spread_by = light.soft_within, refracting
     splits = clear and all(can_split(shape.bsdf()) for shape in shapes)
     glitters = _glitters(scene.mitsuba_scene)
-    is_single = has_random_walks(scene.mitsuba_scene) or glitters or _mirrors(getattr(scene, "subjects", ()))
+    is_single = denoise.has_random_walks(scene.mitsuba_scene) or glitters or _mirrors(getattr(scene, "subjects", ()))
     objects = [] if clear else scene.objects  # the ground seen through a clear object counts equally
     return make_paths(
         scene.depth,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
-from nacre.core.files import plain, why_unreadable
+from nacre.core.files import size_of
 from nacre.core.machine import check_memory
 from nacre.picture.camera import View
 from nacre.picture.mesh import Mesh, face_normals, merge, open_seam, outward
@@ -82,13 +82,8 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
     Raises:
         NacreError: missing, unreadable, empty or too large.
     """
-    try:
-        plain(path)
-    except OSError as error:
-        raise NacreError(f"shape {path}: {why_unreadable(error)}") from None
-    if path.stat().st_size > MAX_MESH_BYTES:
-        raise NacreError(f"shape {path}: {path.stat().st_size} bytes; a mesh has at most {MAX_MESH_BYTES}")
-    check_memory(float(BYTES_PER_BYTE) * path.stat().st_size, f"shape {path}: read as a mesh, it")
+    size = size_of(path, f"shape {path}", MAX_MESH_BYTES)
+    check_memory(float(BYTES_PER_BYTE) * size, f"shape {path}: read as a mesh, it")
     try:
         with np.errstate(invalid="ignore"):  # vertices that are not finite are refused below
             parts = read_triangles(path, is_alone)

@@ -14,8 +14,9 @@ from nacre.readers import hdf5
 from nacre.readers.columns import Columns, interpret, load_tables, sorted_by_wavelength, tables_of
 from nacre.readers.measurement import AmbiguousFileError, FileHead, Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN
+from nacre.readers.spectra.common import blocks
 from nacre.readers.text_table import load_text, number
-from nacre.readers.units import SPECTRAL, UNITS, Floats, parse_unit, to_nm
+from nacre.readers.units import UNITS, Floats, spectral_unit, to_nm
 
 QUANTITIES = ("n", "k", "eps1", "eps2", "alpha")
 MAX_INDEX = 100.0  # far above any optical material
@@ -203,8 +204,8 @@ def _table(path: Path, file: Any, place: str) -> tuple[Floats, Floats, Floats] |
     if wavelength is None or index is None:
         return None
     stated = wavelength.attrs.get("units", wavelength.attrs.get("unit", ""))
-    unit = parse_unit(stated.decode() if isinstance(stated, bytes) else str(stated))
-    if unit is None or UNITS[unit][0] not in SPECTRAL:
+    unit = spectral_unit(stated.decode() if isinstance(stated, bytes) else str(stated))
+    if unit is None:
         raise NacreError(f'{path}: the unit "{stated}" of its wavelengths is not known')
     nm, values = to_nm(np.ravel(wavelength[()]), unit), np.ravel(index[()])
     extinction = hdf5.dataset(file, f"{place}/extinction")
@@ -278,19 +279,10 @@ def read_rii_page(path: Path, options: ReadOptions) -> list[Measurement]:
 
 
 def _rows(path: Path, text: str) -> Floats:
-    _, mark, body = text.partition("|")
-    rows = []
-    for line in body.splitlines() if mark else []:
-        words = line.split()
-        if not words:
-            continue
-        try:
-            rows.append([float(word) for word in words])
-        except ValueError:
-            break
-    if not rows or len({len(row) for row in rows}) != 1:
+    found = blocks(text.partition("|")[2].splitlines(), least_rows=1)
+    if not found or found[0].ragged:
         raise NacreError(f"{path}: a table of its data has no rows of numbers")
-    return np.array(rows)
+    return found[0].table
 
 
 # Optical constants of the SOPRA database (.MAT): `DATA1*number*abscissa*n*k*` between `POINTS*` and `EOF*`.
@@ -414,8 +406,8 @@ def _short(lines: list[str]) -> tuple[str, str] | None:
     """Return unit and quantities of the short form."""
     if len(lines) < 4 or lines[2].strip().upper() not in PROGRAM_QUANTITIES:
         return None
-    unit = parse_unit(lines[1].strip())
-    return (unit, lines[2].strip().upper()) if unit is not None and UNITS[unit][0] in SPECTRAL else None
+    unit = spectral_unit(lines[1])
+    return None if unit is None else (unit, lines[2].strip().upper())
 
 
 def read_woollam_mat(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -427,7 +419,7 @@ def read_woollam_mat(path: Path, options: ReadOptions) -> list[Measurement]:
     text = load_text(path)
     stated, begin = _UNITS.search(text), _BEGIN.search(text)
     if stated and begin:
-        unit, quantities = parse_unit(stated[1]), stated[2].upper()
+        unit, quantities = spectral_unit(stated[1]), stated[2].upper()
         found = re.search(r"^\s*Name\s*=\s*(\S.*)$", text, re.MULTILINE)
         name, body = found[1].strip() if found else "", text[begin.end() :]
     else:
@@ -441,7 +433,7 @@ def read_woollam_mat(path: Path, options: ReadOptions) -> list[Measurement]:
         if short is None:
             raise NacreError(f"{path}: is no material file: units and columns are not stated")
         (unit, quantities), name, body = short, lines[0].strip(), "\n".join(lines[3:])
-    if unit is None or UNITS[unit][0] not in SPECTRAL or quantities not in PROGRAM_QUANTITIES:
+    if unit is None or quantities not in PROGRAM_QUANTITIES:
         said = f"{stated[1]},{stated[2]}" if stated else quantities
         raise NacreError(f"{path}: Units = {said} is not known; allowed are nm, Angstroms, um or eV with NK or E1E2")
     tables = tables_of(body, path).tables

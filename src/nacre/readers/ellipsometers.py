@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.ellipsometry_units import (
-    UNITS,
     ellipsometry,
     numbers,
     row_of,
@@ -27,6 +26,7 @@ from nacre.readers.ellipsometry_units import (
 from nacre.readers.hdf5 import HDF5_MAGIC, text_of
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead
+from nacre.readers.units import spectral_unit
 
 # Text of the imaging ellipsometers EP3 and EP4 by Accurion (Park Systems).
 #
@@ -288,7 +288,7 @@ def read_horiba(path: Path, options: ReadOptions) -> list[Measurement]:
     if len(body) < 2:
         raise NacreError(f"{path}: the section DATA holds no rows")
     heading = [word.lower() for word in body[0][1].split()]
-    if heading[0] not in UNITS:
+    if spectral_unit(heading[0]) is None:
         raise NacreError(f"{path}: the first column {heading[0]!r} is not a wavelength in a known unit")
     table = same_length(path, [(number, row_of(path, number, line)) for number, line in body[1:]])
     if table.shape[1] != len(heading):
@@ -561,7 +561,7 @@ def _entry(path: Path, entry: Any, name: str, options: ReadOptions) -> Measureme
     kind = next((text for each in TYPES if (text := _text(entry, each))), "").lower().replace(" ", "")
     unit = str(wavelength.attrs.get("units", "")).lower()
     notes = []
-    if unit not in UNITS:
+    if spectral_unit(unit) is None:
         unit = options.unit or "angstrom"
         notes.append(f"the wavelength is in {unit}: the file names no unit")
     waves = to_nm(np.atleast_1d(wavelength[()]), unit, str(path))
@@ -646,7 +646,7 @@ def read_woollam_dat(path: Path, options: ReadOptions) -> list[Measurement]:
     unit, trig, first = "", False, start + 1
     for i, line in enumerate(lines[start + 1 : start + WOOLLAM_DAT_HEAD_LINES], start + 1):
         words = line.split()
-        if words and words[0].lower() in UNITS:
+        if words and spectral_unit(words[0]):
             unit, trig, first = words[0], "TRIG" in line.upper().split(), i + 1
             break
     if not unit:
@@ -783,7 +783,7 @@ def _heading(lines: list[str]) -> tuple[int, str, bool] | None:
         words = line.split()
         if re.fullmatch(r"\t\s*(aoi|angle)\s+psi\s+delta\s*", line, re.IGNORECASE):
             return i, "", False  # the wavelength has no name
-        if not words or words[0].lower() not in UNITS or numbers(line) is not None:
+        if not words or spectral_unit(words[0]) is None or numbers(line) is not None:
             continue
         rest = [word.lower() for word in words[1:]]
         if "trig" in rest:

@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.readers import units
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+from nacre.readers.text_table import load_text
+from nacre.readers.units import spectral_unit
 
 CONVENTIONS = {
     "positive": (1, 0.0),
@@ -23,27 +26,16 @@ CONVENTIONS = {
     "positive-shifted": (1, 180.0),
     "negative-shifted": (-1, 180.0),
 }
-HC_EV_NM = 1239.841984  # CODATA 2018
+ALLOWED_UNITS = "nm, um, angstrom, eV, 1/cm"
 MIN_NM, MAX_NM = 100.0, 60_000.0  # of ellipsometers: far ultraviolet to infrared
-UNITS = {
-    "nm": "nm", "nanometer": "nm", "nanometers": "nm", "angstrom": "angstrom", "angstroms": "angstrom", "a": "angstrom",
-    "\u00e5": "angstrom", "um": "um", "\u00b5m": "um", "\u03bcm": "um", "micron": "um", "microns": "um", "ev": "eV",
-    "1/cm": "1/cm", "cm-1": "1/cm", "cm^-1": "1/cm",
-}  # fmt: skip
 MOST_MUELLER = 1.05  # |m_ij| / m11 of a passive sample is at most 1, here with noise
 SIGN_FLOOR = 0.02  # |sin 2Psi sin Delta| below which the Delta sign has no effect within the noise
 AGREEMENT = 0.05  # of the pseudo-dielectric functions of a bare surface at several angles, relative
 
 
 def text_lines(path: Path) -> list[str]:
-    """Return the lines of a text file in UTF-8, UTF-16 or a one-byte encoding."""
-    data = path.read_bytes()
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return data.decode("utf-16", errors="replace").splitlines()
-    try:
-        return data.decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        return data.decode("latin-1").splitlines()
+    """Return the lines of a text file; see `text_table.load_text`."""
+    return load_text(path).splitlines()
 
 
 def end_is_open(path: Path) -> tuple[str, ...]:
@@ -88,14 +80,10 @@ def to_nm(values: Array, unit: str, where: str) -> Array:
     Raises:
         NacreError: an unknown unit, or a value outside 100 nm to 60 um, as after a change of the unit.
     """
-    known = UNITS.get(unit.strip().lower())
+    known = spectral_unit(unit)
     if known is None:
-        raise NacreError(f"{where}: the unit {unit!r} of the wavelength is not known; allowed: {', '.join(UNITS)}")
-    with np.errstate(divide="ignore"):
-        found = {
-            "nm": lambda v: v, "angstrom": lambda v: v / 10.0, "um": lambda v: 1e3 * v,
-            "eV": lambda v: HC_EV_NM / v, "1/cm": lambda v: 1e7 / v,
-        }[known](np.asarray(values, dtype=float))  # fmt: skip
+        raise NacreError(f"{where}: the unit {unit!r} of the wavelength is not known; allowed: {ALLOWED_UNITS}")
+    found = units.to_nm(values, known)
     if not np.all((found >= MIN_NM) & (found <= MAX_NM)):
         worst = found[~((found >= MIN_NM) & (found <= MAX_NM))][0]
         raise NacreError(

@@ -17,7 +17,7 @@ from xml.etree.ElementTree import ParseError
 import numpy as np
 
 from nacre.core.errors import NacreError, did_you_mean
-from nacre.core.files import named, plain, why_unreadable
+from nacre.core.files import named, reading, size_of, why_unreadable
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
 from nacre.readers.measurement import FileHead as FileHead
 
@@ -77,15 +77,11 @@ def head_of(path: str | Path) -> FileHead:
         NacreError: it does not exist, cannot be read, is empty, or is a folder, a device or a pipe.
     """
     path = named(path)
-    try:
-        with plain(path).open("rb") as file:
-            head = FileHead(path, file.read(HEAD_BYTES), path.stat().st_size)
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
+    size = size_of(path, most_bytes=MAX_BYTES)
+    with reading(path), path.open("rb") as file:
+        head = FileHead(path, file.read(HEAD_BYTES), size)
     if not head.data.strip():
         raise NacreError(f"{path}: is empty, it holds no data")
-    if head.size > MAX_BYTES:
-        raise NacreError(f"{path}: is larger than {MAX_BYTES >> 30} GiB")
     return head
 
 

@@ -7,7 +7,7 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from nacre.core.errors import NacreError
-from nacre.core.files import plain, why_unreadable
+from nacre.core.files import reading, size_of
 from nacre.core.machine import check_memory
 from nacre.readers.measurement import utf_16_order
 from nacre.readers.units import Floats, normal, parse_unit
@@ -94,22 +94,45 @@ def _decode_bytes(data: bytes) -> str:
     return data.decode("latin-1")
 
 
+def load_bytes(path: Path, memory_factor: float = 1.0, limit: int = MAX_BYTES) -> bytes:
+    """Return a file's content.
+
+    Args:
+        memory_factor: memory that the reader needs per byte.
+
+    Raises:
+        NacreError: missing, no regular file, or too large.
+    """
+    check_memory(memory_factor * float(size_of(path, most_bytes=limit)), f"{path}: read into memory, it")
+    with reading(path):
+        return path.read_bytes()
+
+
 def load_text(path: Path, limit: int = MAX_BYTES) -> str:
     """Return a file's text.
 
     Raises:
-        NacreError: missing, no regular file, too large, or no text.
+        NacreError: as `load_bytes`, or no text.
     """
     try:
-        size = plain(path).stat().st_size
-        if size > limit:
-            raise NacreError(f"{path}: is larger than {limit / 1e6:.0f} MB")
-        check_memory(MEMORY_FACTOR * float(size), f"{path}: read as a table, it")
-        return decode(path.read_bytes())
+        return decode(load_bytes(path, MEMORY_FACTOR, limit))
     except UnicodeDecodeError:
         raise NacreError(f"{path}: is not a text file") from None
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
+
+
+def row_of_numbers(path: Path, number: int, line: str, words: Iterable[str]) -> list[float]:
+    """Return the numbers in the words of a line.
+
+    Args:
+        number, line: of the file, for the message.
+
+    Raises:
+        NacreError: a word is not a number.
+    """
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        raise NacreError(f'{path}: line {number}: "{line.strip()[:40]}" is not a row of numbers') from None
 
 
 def number(cell: str, grouping: str = "") -> float | None:

@@ -8,13 +8,13 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from nacre.core.errors import NacreError
 
 Floats = NDArray[np.float64]
 
-EV_NM = 6.62607015e-34 * 299792458 / 1.602176634e-19 * 1e9  # h c / e
+EV_NM = 1239.8419843320026  # h c / e in eV nm, exact in the SI of 2019
 LIGHT_NM_S = 2.99792458e17  # speed of light, nm/s
 
 VOCABULARY: dict[str, dict[str, Any]] = tomllib.loads(
@@ -55,7 +55,18 @@ def parse_unit(text: str) -> str | None:
     return _UNIT_OF.get(word) or _UNIT_OF.get(word.lower()) or _UNIT_OF.get(word.lower().rstrip("."))
 
 
-def to_nm(values: Floats, unit: str) -> Floats:
+def spectral_unit(text: str) -> str | None:
+    """Return the canonical unit of a wavelength, energy, wavenumber or frequency that a text spells, or None.
+
+    Example:
+        >>> spectral_unit("Angstroms"), spectral_unit("deg")
+        ('angstrom', None)
+    """
+    unit = parse_unit(text)
+    return unit if unit is not None and UNITS[unit][0] in SPECTRAL else None
+
+
+def to_nm(values: ArrayLike, unit: str) -> Floats:
     """Convert a spectral quantity to vacuum wavelengths in nm; 0 becomes inf.
 
     Args:

@@ -21,21 +21,11 @@ from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.core.machine import in_threads
 from nacre.families.contract import DirectEvaluation, Figure, Model, SearchFidelity, Strata, Surrogate, Traits
+from nacre.families.glass import tables
 from nacre.families.glass.composite import Balls, Composite, EffectiveDispersion
 from nacre.families.glass.medium import SIZES, Medium, mixture_power, percus_yevick, schulz_sizes
 from nacre.families.glass.radiative_transfer import AZIMUTHS, Slab, brdf_pairs, with_one_index
 from nacre.families.glass.random_walk import Face, walk
-from nacre.families.glass.tables import (
-    GRAZING,
-    THETA_NODES,
-    RoughInterface,
-    behind_rough,
-    diffuse_table,
-    face_lobe,
-    incidence_error,
-    interpolation_error,
-    walk_error,
-)
 from nacre.light import default_wavelengths
 from nacre.light.tristimulus import spline_matrix
 
@@ -177,11 +167,11 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         """Return the spectrum behind a rough face in the noise-free form; None if it does not apply."""
         if self.surface.is_smooth or self.inapplicable_reason() is not None:
             return None
-        interface = RoughInterface.behind(self.surface, self._medium(lam))
+        interface = tables.RoughInterface.behind(self.surface, self._medium(lam))
         if interface is None:
             return None
         cos = np.cos(np.minimum(theta, np.pi / 2))
-        slabs, oblique = self._slabs(lam, 1), np.maximum(cos, GRAZING)
+        slabs, oblique = self._slabs(lam, 1), np.maximum(cos, tables.GRAZING)
         entered = np.stack([slab.powers(oblique)[2] * interface.internal_factor(slab) for slab in slabs], axis=-1)
         changed = (interface.over_smooth(cos) * interface.escape)[:, None]
         return Spectrum(lam, np.degrees(theta), None, None, interface.mirrored(cos)[:, None] + changed * entered, None)
@@ -240,12 +230,12 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         medium = self._medium(lam)
         slabs = self._slabs(lam, AZIMUTHS)
         values = np.stack([brdf_pairs(medium, i, slab, wi, wo) for i, slab in enumerate(slabs)], axis=-1)
-        interface = RoughInterface.behind(self.surface, medium)
+        interface = tables.RoughInterface.behind(self.surface, medium)
         if interface is not None:
             shares = interface.over_smooth(np.abs(wi[:, 2])) * interface.over_smooth(np.abs(wo[:, 2]))
             values = values * shares[:, None] * np.array([interface.internal_factor(slab) for slab in slabs])
         up = (wi[:, 2] > 0) & (wo[:, 2] > 0)
-        return np.where(up[:, None], values, 0.0) + face_lobe(medium, self.surface).evaluate(wi, wo)
+        return np.where(up[:, None], values, 0.0) + tables.face_lobe(medium, self.surface).evaluate(wi, wo)
 
     def _medium(self, lam: Array) -> Medium:
         return _solved(self.composite, tuple(lam.tolist()))
@@ -265,21 +255,21 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
 
     def _fast(self, lam: Array) -> Bsdf:
         medium, slabs = self._medium(lam), self._slabs(lam, AZIMUTHS)
-        smooth = diffuse_table(medium, slabs)
-        table = behind_rough(smooth, medium, slabs, self.surface)
-        lobes = (face_lobe(medium, self.surface), table)
+        smooth = tables.diffuse_table(medium, slabs)
+        table = tables.behind_rough(smooth, medium, slabs, self.surface)
+        lobes = (tables.face_lobe(medium, self.surface), table)
         if not self.is_checked:
             return Bsdf(lobes)
-        walk_deviation = walk_error(table, medium, self.thickness_nm, self._albedo(lam), self.surface)
-        error = np.hypot(walk_deviation, interpolation_error(smooth, medium, slabs))
+        walk_deviation = tables.walk_error(table, medium, self.thickness_nm, self._albedo(lam), self.surface)
+        error = np.hypot(walk_deviation, tables.interpolation_error(smooth, medium, slabs))
         note = (
             f"noise-free form: error {100 * error.mean():.2f} % on average over wavelengths, at most "
             f"{100 * error.max():.2f} % (L2 of f cos: against transfer over all directions, and against the walk over "
             "the polar angle)"
         )
         logger.info("%s", note)
-        stated = incidence_error(lobes, medium, slabs, self.surface).stated()
-        return Bsdf(lobes, {"notes": [note], "angle_table": {"angles": THETA_NODES, **stated}})
+        stated = tables.incidence_error(lobes, medium, slabs, self.surface).stated()
+        return Bsdf(lobes, {"notes": [note], "angle_table": {"angles": tables.THETA_NODES, **stated}})
 
     def _layered(self, lam: Array, is_own_grid: bool, is_in_air: bool = True) -> Layered:
         """Return the layered lobe: the glass enters as a scattering dye."""

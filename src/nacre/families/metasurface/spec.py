@@ -36,12 +36,13 @@ from nacre.families.metasurface.supercells import draw_species
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, as_blocks
 from nacre.families.metasurface.tmatrix.particle_on_stack import amplitude
 from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K
-from nacre.families.metasurface.tmatrix.tmatrix_file import MAX_BYTES, write_tmatrices
+from nacre.families.metasurface.tmatrix.tmatrix_file import write_tmatrices
 from nacre.light import default_wavelengths
 from nacre.matter.drawings import Drawer, DrawingRequest, LayerSheet, Layout
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec, ambient_in
 from nacre.readers.curves import FileSpec
+from nacre.readers.hdf5 import MAX_BYTES
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 LEAST_COVERAGE = 1e-4

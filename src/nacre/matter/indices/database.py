@@ -14,7 +14,7 @@ import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError, UnknownMaterialError, did_you_mean
-from nacre.core.files import plain, why_unreadable
+from nacre.core.files import size_of
 from nacre.matter.indices.models import Constant, Dispersion, Joined, Table
 
 # Two catalogue pages point at a third material's file (an upstream error, fixed there after the release).
@@ -172,11 +172,8 @@ def read_page(path: Path) -> Dispersion:
     Raises:
         NacreError: unreadable file, or one without a refractive index.
     """
-    try:
-        if plain(path).stat().st_size > MAX_PAGE_BYTES:
-            raise NacreError(f"{path.name}: is larger than {MAX_PAGE_BYTES // 1_000_000} MB; is it a page of n and k?")
-    except OSError as error:
-        raise NacreError(f"{path.name}: {why_unreadable(error)}") from None
+    if size_of(path, path.name) > MAX_PAGE_BYTES:
+        raise NacreError(f"{path.name}: is larger than {MAX_PAGE_BYTES // 1_000_000} MB; is it a page of n and k?")
     return _entry(path.name, path, f"{path.name}:").model
 
 

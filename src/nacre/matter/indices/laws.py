@@ -21,7 +21,8 @@ import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray, gauss_legendre
 from nacre.core.errors import NacreError
-from nacre.matter.indices.models import EV_NM, EVERYWHERE_NM, Dispersion, Oscillators
+from nacre.matter.indices.models import EVERYWHERE_NM, Dispersion, Oscillators
+from nacre.readers.units import EV_NM
 
 if TYPE_CHECKING:
     from nacre.matter.indices.constant import OpticalConstant

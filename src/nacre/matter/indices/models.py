@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array, ComplexArray
+from nacre.readers.units import EV_NM
 
 EVERYWHERE_NM = (0.0, math.inf)
-EV_NM = 1239.8419843320026  # h c / e in eV nm, CODATA 2018
 LINE_D_NM, LINE_F_NM, LINE_C_NM = 587.5618, 486.1327, 656.2725  # helium d, hydrogen F and C
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import pydantic
 
 from nacre.core.errors import NacreError, did_you_mean
-from nacre.core.files import plain, why_unreadable
+from nacre.core.files import size_of
 from nacre.matter.indices.constant import (
     BY_NAME,
     OpticalConstant,
@@ -482,11 +482,7 @@ def read_index_file(path: Path, options: ReadOptions) -> Table:
 
 
 def _constants(path: Path, options: ReadOptions) -> Measurement:
-    try:
-        size = plain(path).stat().st_size
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
-    if size > MAX_BYTES:
+    if (size := size_of(path)) > MAX_BYTES:
         raise NacreError(f"{path}: is larger than {MAX_BYTES // 1_000_000} MB; is it a table of n and k?")
     if size == 0:
         raise NacreError(f"{path}: is empty: column n is missing; {FORM}")

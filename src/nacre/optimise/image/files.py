@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nacre import light
 from nacre.bsdf.texture import LARGEST_16_BIT, opacity, upright
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError, UnsupportedError
@@ -24,16 +25,6 @@ from nacre.core.machine import check_memory
 from nacre.families.contract import Pixels
 from nacre.formats.layouts import LARGEST_GREY, write_pixel_field
 from nacre.formats.number_maps import DEFAULT_PIXEL_UM, write_png16, write_tiff16
-from nacre.light import (
-    SRGB_WHITE_XYZ,
-    clip_to_srgb,
-    lab_to_xyz,
-    srgb_decode,
-    srgb_encode,
-    srgb_linear_to_xyz,
-    xyz_to_lab,
-    xyz_to_srgb_linear,
-)
 from nacre.material.material import Material
 
 if TYPE_CHECKING:
@@ -216,10 +207,10 @@ def write_pixels(folder: Path, material: Material, maps: Sequence[ParameterMap])
 
 def srgb_lab(rgb: Array) -> Array:
     """Return CIELAB for encoded sRGB `[..., 3]` under its white (D65, 2 degree observer)."""
-    return np.asarray(xyz_to_lab(srgb_linear_to_xyz(srgb_decode(rgb)), SRGB_WHITE_XYZ))
+    return np.asarray(light.xyz_to_lab(light.srgb_linear_to_xyz(light.srgb_decode(rgb)), light.SRGB_WHITE_XYZ))
 
 
 def screen_rgb(xyz: Array, white: Array) -> Array:
     """Return the encoded sRGB with the same CIELAB values as XYZ `[..., 3]` under `white`, clipped to sRGB."""
-    shown = np.clip(lab_to_xyz(xyz_to_lab(xyz, white), SRGB_WHITE_XYZ), 0.0, None)
-    return np.asarray(srgb_encode(clip_to_srgb(xyz_to_srgb_linear(shown)).rgb))
+    shown = np.clip(light.lab_to_xyz(light.xyz_to_lab(xyz, white), light.SRGB_WHITE_XYZ), 0.0, None)
+    return np.asarray(light.srgb_encode(light.clip_to_srgb(light.xyz_to_srgb_linear(shown)).rgb))

@@ -19,7 +19,7 @@ import pydantic
 from nacre.bsdf.texture import LARGEST_16_BIT, opacity, upright
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
-from nacre.core.files import plain, why_unreadable
+from nacre.core.files import plain, reading, why_unreadable
 from nacre.families.relief.diffraction_orders import CoherenceSpec, coating_reflectance, fresnel_reflectance
 from nacre.families.relief.plane_cut import CutGeometry
 from nacre.formats.layouts import find_calibration
@@ -478,10 +478,8 @@ def load_picture(path: Path, where: str, is_stretched: bool = False) -> Array:
     from PIL import Image, ImageOps
 
     named = f'{where} = "{path}"'
-    try:
+    with reading(named, RecipeError):
         plain(path)
-    except OSError as error:
-        raise RecipeError(f"{named} {why_unreadable(error)}") from None
     try:
         with warnings.catch_warnings(), Image.open(path) as image:
             warnings.simplefilter("ignore")  # broken tags are either read or skipped

@@ -24,15 +24,7 @@ from nacre.light import delta_e_2000_components
 from nacre.matter.stack.thickness_gradient import StackTables, scratch, spectra_and_gradients, stack_tables
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.problem import STOP_TOL, Budget
-from nacre.optimise.thin_film.genetic import (
-    WORST_POWER,
-    Population,
-    Space,
-    draw_many,
-    empty_population,
-    evolve,
-    nearest,
-)
+from nacre.optimise.thin_film import genetic
 from nacre.optimise.thin_film.levenberg_marquardt import descend, keep_total, workspace
 from nacre.optimise.thin_film.merit_kernel import compile_merit
 
@@ -160,7 +152,7 @@ class StackProblem:
             n[:, samples], self.merit.wavelengths_nm[samples], np.asarray(self.angles_rad, dtype=float), self.sides
         )
 
-    def space(self) -> Space:
+    def space(self) -> genetic.Space:
         """Return the allowed stacks as arrays."""
         count, media = self.layers, 1 + len(self.media())
         number = {m.name: i + 1 for i, m in enumerate(self.palette)}
@@ -176,7 +168,7 @@ class StackProblem:
                 ends = self.bounds_of(name) if self.slots is None else (self.slots[j].low_nm, self.slots[j].high_nm)
                 low[j, number[name]], high[j, number[name]] = ends
         middle = len(self.merit.wavelengths_nm) // 2
-        return Space(
+        return genetic.Space(
             choices,
             choice_count,
             low,
@@ -323,17 +315,17 @@ class _Island:
         """Return the stacks, best first."""
         return sorted(self.stacks.values(), key=lambda one: one.score)
 
-    def population(self) -> tuple[Population, int]:
+    def population(self) -> tuple[genetic.Population, int]:
         """Return the stacks as arrays, best first, and their number."""
         stacks = self.ordered()
-        found = empty_population(max(len(stacks), 1), self.slots + 3)
+        found = genetic.empty_population(max(len(stacks), 1), self.slots + 3)
         for i, one in enumerate(stacks):
             found.score[i], found.layers[i], found.substrate[i] = one.score, one.layers, one.substrate
             found.media[i, : one.layers], found.d[i, : one.layers] = one.media[: one.layers], one.d[: one.layers]
         return found, len(stacks)
 
 
-def _stacks(population: Population, count: int) -> Iterator[Stack]:
+def _stacks(population: genetic.Population, count: int) -> Iterator[Stack]:
     for i in range(count):
         media, d = population.media[i].copy(), population.d[i].copy()
         yield Stack(float(population.score[i]), media, d, int(population.layers[i]), int(population.substrate[i]))
@@ -369,12 +361,12 @@ class Engine:
         return low, high
 
     def evolve(
-        self, space: Space, population: Population, size: int, count: int, target: float, seed: int, batch: int,
-        out: Population,
+        self, space: genetic.Space, population: genetic.Population, size: int, count: int, target: float, seed: int,
+        batch: int, out: genetic.Population,
     ) -> int:  # fmt: skip
         """Fill `out` with improved offspring of a population; return their number."""
         return int(
-            evolve(
+            genetic.evolve(
                 self.tables, self.compiled, space, population, size, count, self.options.fresh_share, target, seed,
                 self.workspaces[batch], out,
             )
@@ -395,7 +387,7 @@ class Engine:
         """Return a stack refined on all wavelengths."""
         media, d, score = one.media.copy(), one.d.copy(), one.score
         low, high = self.bounds(one)
-        powers = (2.0, WORST_POWER, 3.0 * WORST_POWER) if len(self.fine_compiled.kind) > 1 else (2.0,)
+        powers = (2.0, genetic.WORST_POWER, 3.0 * genetic.WORST_POWER) if len(self.fine_compiled.kind) > 1 else (2.0,)
         for p in powers:
             score = descend(
                 self.fine_tables, self.fine_compiled, media, d, low, high, one.layers, one.substrate,
@@ -515,7 +507,7 @@ WORK = 8e8  # layers^1.2 x rows x wavelengths of all stacks
 def _explore(engine: Engine, budget: Budget, seed: int, on_progress: Any, stop: Any) -> list[Stack]:
     """Evolve until the targets are met or the budget is spent; return the best stacks of all islands."""
     options, problem = engine.options, engine.problem
-    outs = [empty_population(options.offspring, engine.slots + 3) for _ in range(options.batches)]
+    outs = [genetic.empty_population(options.offspring, engine.slots + 3) for _ in range(options.batches)]
     is_robust, done = problem.has_tolerance, list[Stack]()
     end, target = (options.stop_failure, 0.0) if is_robust else (STOP_TOL, 0.9 * STOP_TOL)
     island, islands, generation = _Island(engine.slots, options), 1, 0
@@ -560,7 +552,7 @@ def _explore(engine: Engine, budget: Budget, seed: int, on_progress: Any, stop: 
     return done + island.ordered()
 
 
-def _shortened(space: Space, layers: int) -> Space:
+def _shortened(space: genetic.Space, layers: int) -> genetic.Space:
     return space._replace(
         choices=space.choices[:layers],
         choice_count=space.choice_count[:layers],
@@ -623,10 +615,10 @@ def many(
     for merit in merits:
         if any(operand.kind != "colour" for operand in merit.operands) or len(merit.terms) != terms:
             raise NacreError("many designs share one set of draws: each needs the same targets, of colours")
-    draws = empty_population(engine.options.shared_draws, engine.slots + 3)
+    draws = genetic.empty_population(engine.options.shared_draws, engine.slots + 3)
     labs = np.zeros((engine.options.shared_draws, terms, 3))
     first = int(np.random.SeedSequence([seed, 0]).generate_state(1)[0])
-    draw_many(engine.tables, engine.compiled, engine.space, first, engine.workspaces[0], draws, labs)
+    genetic.draw_many(engine.tables, engine.compiled, engine.space, first, engine.workspaces[0], draws, labs)
     numbers = iter(range(len(merits)) if which is None else which)
     found: list[StackSolution | None] = [None] * len(merits)
 
@@ -657,11 +649,11 @@ def local_metric(lab: Array) -> Array:
     return np.stack(columns, axis=-1)
 
 
-def _from_draws(engine: Engine, draws: Population, labs: Array, seed: int, number: int) -> Stack:
+def _from_draws(engine: Engine, draws: genetic.Population, labs: Array, seed: int, number: int) -> Stack:
     compiled, options = engine.compiled, engine.options
     starts = np.zeros(options.shared_starts, dtype=np.int64)
     distances = np.empty(options.shared_starts)
-    nearest(labs, compiled.lab, local_metric(compiled.lab), compiled.scale, distances, starts)
+    genetic.nearest(labs, compiled.lab, local_metric(compiled.lab), compiled.scale, distances, starts)
     island = _Island(engine.slots, options)
     target = 0.5 * STOP_TOL
     for k in starts:
@@ -670,7 +662,7 @@ def _from_draws(engine: Engine, draws: Population, labs: Array, seed: int, numbe
         island.add([one])
         if one.score < target and (done := engine.finish(island.ordered()[0])).score < target:
             return done
-    out = empty_population(options.shared_offspring, engine.slots + 3)
+    out = genetic.empty_population(options.shared_offspring, engine.slots + 3)
     for turn in range(options.shared_generations):
         population, size = island.population()
         own = int(np.random.SeedSequence([seed, 1 + number, turn]).generate_state(1)[0])

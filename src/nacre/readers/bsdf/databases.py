@@ -12,18 +12,10 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array, angles_deg, direction, from_half_difference, interpolate
 from nacre.core.errors import NacreError
-from nacre.readers.bsdf.gonio_table import (
-    COLOURS,
-    DEGREES,
-    measurement,
-    pairs_of,
-    pairs_of_half_angles,
-    read_bytes,
-    read_text,
-)
-from nacre.readers.bsdf.gonio_table import measurement as as_measurement
+from nacre.readers.bsdf.gonio_table import COLOURS, DEGREES, measurement, pairs_of, pairs_of_half_angles
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead
+from nacre.readers.text_table import load_bytes, load_text, row_of_numbers
 
 # ALTA text (`#DIM`, `#PARAM_IN`, `#PARAM_OUT`): angles in radians, cosines, or unit vectors.
 
@@ -45,17 +37,14 @@ def read_alta(path: Path, options: ReadOptions) -> list[Measurement]:
     """
     head: dict[str, list[str]] = {}
     table: list[list[float]] = []
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
+    for number, line in enumerate(load_text(path).splitlines(), start=1):
         words = line.split()
         if not words:
             continue
         if words[0].startswith("#"):
             head.setdefault(words[0].lstrip("#").upper(), words[1:])
             continue
-        try:
-            table.append([float(word) for word in words])
-        except ValueError:
-            raise NacreError(f'{path}: line {number}: "{line.strip()[:40]}" is not a row of numbers') from None
+        table.append(row_of_numbers(path, number, line, words))
     parameters, output = (head.get(key, ["?"])[0].upper() for key in ("PARAM_IN", "PARAM_OUT"))
     try:
         inputs, outputs = (int(word) for word in head["DIM"][:2])
@@ -78,7 +67,7 @@ def read_alta(path: Path, options: ReadOptions) -> list[Measurement]:
     if (3 if colour else 1) != outputs:
         raise NacreError(f"{path}: PARAM_OUT = {output} does not fit the {outputs} values of #DIM")
     assumed = ["the file names no wavelength; one value stands for all"] if colour is None else []
-    return [as_measurement(path, _angles(path, parameters, x), None, values, metadata, colour=colour, assumed=assumed)]
+    return [measurement(path, _angles(path, parameters, x), None, values, metadata, colour=colour, assumed=assumed)]
 
 
 def _angles(path: Path, parameters: str, x: Array) -> Array:
@@ -135,7 +124,7 @@ def read_raw(path: str | Path) -> Array:
         NacreError: not a MERL file, or damaged.
     """
     path = Path(path)
-    data = read_bytes(path)
+    data = load_bytes(path)
     if len(data) != MERL_SIZE:
         raise NacreError(f"{path}: has {len(data)} bytes; a MERL file of 90 x 90 x 180 bins has {MERL_SIZE}")
     shape = tuple(int(n) for n in np.frombuffer(data, "<i4", 3))
@@ -208,7 +197,7 @@ def read_utia(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: the size or the numbers do not fit.
     """
-    data = read_bytes(path, 8.0)
+    data = load_bytes(path, 8.0)
     if len(data) != UTIA_SIZE:
         raise NacreError(f"{path}: has {len(data)} bytes; a UTIA file of 288 x 288 directions has {UTIA_SIZE}")
     planes = np.frombuffer(data, "<f8").reshape(3, -1)
@@ -324,7 +313,7 @@ def read_tensor(path: str | Path) -> dict[str, NDArray[Any]]:
         NacreError: not a tensor file, damaged, or too large.
     """
     path = Path(path)
-    data = read_bytes(path, MEMORY_FACTOR)
+    data = load_bytes(path, MEMORY_FACTOR)
     if data[: len(MAGIC)] != MAGIC:
         raise NacreError(f"{path}: is not a tensor file")
     try:

@@ -17,14 +17,11 @@ import numpy as np
 
 from nacre.core.arrays import Array, angles_deg, from_half_difference
 from nacre.core.errors import NacreError
-from nacre.core.files import plain, why_unreadable
-from nacre.core.machine import check_memory
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import LIKELY, FileHead
-from nacre.readers.text_table import decode, rows
-from nacre.readers.units import VOCABULARY
+from nacre.readers.text_table import MISSING, load_text, number, rows
+from nacre.readers.units import VOCABULARY, spectral_unit, to_nm
 
-GAPS = ("", "nan", "-", "--", "n/a", "na", "#n/a", "null", "none")
 NAMES = {name: tuple(words.split()) for name, words in VOCABULARY["goniometer"].items()}
 UNITS = {"deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "rad": "rad", "radian": "rad", "radians": "rad"}
 WAVE_UNITS = ("nm", "um", "µm", "μm")
@@ -180,7 +177,7 @@ def _long(
 
 def _table(path: Path, options: ReadOptions) -> tuple[Heading, Array]:
     """Return the headings' meaning and the numbers `[row, column]`."""
-    text = read_text(path)
+    text = load_text(path)
     heads = _heading_rows(text)
     if not heads:
         raise NacreError(f"{path}: has no headings; a goniometer table names theta_i, theta_o, ...")
@@ -198,28 +195,23 @@ def _table(path: Path, options: ReadOptions) -> tuple[Heading, Array]:
             f"theta_i, phi_i, theta_o, phi_o, wavelength, value, or ignore them (--ignore)"
         )
     table = []
-    for number, row in rows(re.sub(r"#N/A", "n/a", text)):
-        if row and not re.match(r"[-+.]?\d", row[0].strip()) and row[0].strip().lower() not in GAPS:
+    for line, row in rows(re.sub(r"#N/A", "n/a", text)):
+        if row and not re.match(r"[-+.]?\d", row[0].strip()) and row[0].strip().lower() not in MISSING:
             continue  # a heading
         row += [""] * (len(cells) - len(row))
         if len(row) != len(cells):
-            raise NacreError(f"{path}: line {number} has {len(row)} cells, the headings are {len(cells)}")
-        table.append([_number(path, number, cell) for cell in row])
+            raise NacreError(f"{path}: line {line} has {len(row)} cells, the headings are {len(cells)}")
+        table.append([_number(path, line, cell) for cell in row])
     if not table:
         raise NacreError(f"{path}: holds no rows of numbers")
     return known, np.array(table)
 
 
 def _number(path: Path, line: int, cell: str) -> float:
-    try:
-        number = float(cell)
-    except ValueError:
-        if cell.strip().lower() in GAPS:
-            return float("nan")
-        raise NacreError(f'{path}: line {line}: "{cell.strip()[:40]}" is not a number') from None
-    if np.isinf(number):
+    value = number(cell)
+    if value is None or np.isinf(value):
         raise NacreError(f'{path}: line {line}: "{cell.strip()[:40]}" is not a finite number')
-    return number
+    return value
 
 
 def _angles(path: Path, known: Heading, table: Array, options: ReadOptions) -> tuple[Array, list[str]]:
@@ -246,9 +238,7 @@ def _angles(path: Path, known: Heading, table: Array, options: ReadOptions) -> t
         angles[:, 2] = np.abs(angles[:, 2])
         side = "positive" if mirror > 0 else "negative"
         assumed.append(f"no azimuths: a scan in the plane of incidence; {side} angles are the mirror side")
-    theta_i, phi_i = unsigned(angles[:, 0], angles[:, 1])
-    theta_o, phi_o = unsigned(angles[:, 2], angles[:, 3])
-    return np.stack([theta_i, phi_i, theta_o, phi_o], axis=-1), assumed
+    return unsigned(angles), assumed
 
 
 def _mirror_sign(known: Heading, table: Array, angles: Array) -> float:
@@ -296,44 +286,14 @@ def _values(path: Path, known: Heading, table: Array, options: ReadOptions) -> t
     return values, waves, assumed
 
 
-# Common part of BSDF readers: text, axes, angles, and the `Measurement` of direction pairs.
+# Common part of BSDF readers: axes, angles, and the `Measurement` of direction pairs.
 #
 # Directions point away from the surface; azimuth differences of 0 mean retroreflection, 180 degrees the mirror side.
 
-MAX_BYTES = 1 << 30
-MEMORY_FACTOR = 8  # memory per byte of a text file: text, lines, cells
 MAX_AXIS = 100_000
 UM_RANGE = (0.15, 25.0)  # wavelengths without a unit that can only be micrometres
 DEGREES = ("theta_i_deg", "phi_i_deg", "theta_o_deg", "phi_o_deg")
 COLOURS = {"rgb": "bsdf_rgb", "xyz": "bsdf_xyz"}
-
-
-def read_bytes(path: Path, factor: float = 1.0) -> bytes:
-    """Return the content of a regular file within the memory limit.
-
-    Raises:
-        NacreError: the file cannot be read or is too large.
-    """
-    try:
-        size = plain(path).stat().st_size
-        if size > MAX_BYTES:
-            raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
-        check_memory(factor * float(size), f"{path}: read into memory, it")
-        return path.read_bytes()
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
-
-
-def read_text(path: Path) -> str:
-    """Return the text of a file.
-
-    Raises:
-        NacreError: the file cannot be read, is too large, or is not text.
-    """
-    try:
-        return decode(read_bytes(path, MEMORY_FACTOR))
-    except UnicodeDecodeError:
-        raise NacreError(f"{path}: is not text") from None
 
 
 def numbers(words: Iterator[str], count: int) -> Array:
@@ -375,9 +335,10 @@ def pairs_of_half_angles(theta_half: Array, phi_half: Array, theta_diff: Array, 
     return np.stack([light[:, 0], (light[:, 1] + turn) % 360.0, viewer[:, 0], (viewer[:, 1] + turn) % 360.0], axis=-1)
 
 
-def unsigned(theta: Array, phi: Array) -> tuple[Array, Array]:
-    """Return polar angles >= 0: a negative one turns its azimuth by 180 degrees; azimuths lie in [0, 360)."""
-    return np.abs(theta), np.where(theta < 0, phi + 180.0, phi) % 360.0
+def unsigned(angles: Array) -> Array:
+    """Return pairs `[pair, 4]` with polar angles >= 0, whose sign turns the azimuth, and azimuths in [0, 360)."""
+    theta, phi = angles[:, 0::2], angles[:, 1::2]
+    return np.stack([np.abs(theta), np.where(theta < 0, phi + 180.0, phi) % 360.0], axis=-1).reshape(-1, 4)
 
 
 def wavelengths_in_nm(path: Path, values: Array, unit: str | None) -> tuple[Array, tuple[str, ...]]:
@@ -389,11 +350,11 @@ def wavelengths_in_nm(path: Path, values: Array, unit: str | None) -> tuple[Arra
     Raises:
         NacreError: impossible wavelengths.
     """
-    factors = {"nm": 1.0, "um": 1e3, "µm": 1e3, "μm": 1e3, "m": 1e9, "a": 0.1, "å": 0.1, "angstrom": 0.1}
     if np.any(values <= 0) or not np.all(np.isfinite(values)):
         raise NacreError(f"{path}: wavelength = {np.min(values):g} is not above 0")
-    if unit is not None and unit.lower() in factors:
-        return values * factors[unit.lower()], ()
+    known = spectral_unit(unit or "")
+    if known is not None:
+        return to_nm(values, known), ()
     if UM_RANGE[0] <= values.min() and values.max() <= UM_RANGE[1]:
         return np.round(values * 1e3, 6), ("wavelengths have no unit and are below 25; they were read in um",)
     if values.min() < UM_RANGE[1]:

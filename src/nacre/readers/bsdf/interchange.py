@@ -15,10 +15,11 @@ import numpy as np
 from nacre.core.arrays import Array, angles_deg
 from nacre.core.errors import NacreError
 from nacre.readers.bsdf import gonio_table
-from nacre.readers.bsdf.gonio_table import axis, measurement, numbers, pairs_of, read_bytes
+from nacre.readers.bsdf.gonio_table import axis, measurement, numbers, pairs_of
 from nacre.readers.bsdf.ray_tracers import scatter_direction
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
+from nacre.readers.text_table import load_bytes, load_text, row_of_numbers
 
 # ASTM E1392 text: `NUM_POINTS`, `VARS=theta_i,phi_i,theta_s,phi_s,...`, then comma-separated rows.
 #
@@ -41,7 +42,7 @@ def read_astm_e1392(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: the head or a row is invalid, or the row count contradicts NUM_POINTS.
     """
-    lines = gonio_table.read_text(path).splitlines()
+    lines = load_text(path).splitlines()
     start = next((i for i, line in enumerate(lines) if _VARS.match(line)), None)
     if start is None:
         raise NacreError(f"{path}: has no line VARS=theta_i,phi_i,theta_s,phi_s,...")
@@ -58,9 +59,7 @@ def read_astm_e1392(path: Path, options: ReadOptions) -> list[Measurement]:
     )
     angles = table[:, :4] if is_degrees else np.degrees(table[:, :4])
     assumed = [f"angles are in {'degrees' if is_degrees else 'radians'} by their range"] if options.unit is None else []
-    theta_i, phi_i = gonio_table.unsigned(angles[:, 0], angles[:, 1])
-    theta_o, phi_o = gonio_table.unsigned(angles[:, 2], angles[:, 3])
-    angles = np.stack([theta_i, phi_i, theta_o, phi_o], axis=-1)
+    angles = gonio_table.unsigned(angles)
     colour, waves, notes = _channels(path, names[4:])
     metadata = {"scatter": "btdf" if any("btdf" in n.lower() for n in names[4:]) else "brdf", "vars": names}
     head = [line.strip() for line in lines[:start] if line.strip()]
@@ -76,10 +75,7 @@ def _rows(path: Path, lines: list[str], start: int, width: int) -> Array:
         cells = [cell for cell in re.split(r"[,;\s]+", line.strip()) if cell]
         if not cells or line.lstrip().startswith("#"):
             continue
-        try:
-            row = [float(cell) for cell in cells]
-        except ValueError:
-            raise NacreError(f'{path}: line {number}: "{line.strip()[:40]}" is not a row of numbers') from None
+        row = row_of_numbers(path, number, line, cells)
         if len(row) != width:
             raise NacreError(f"{path}: line {number} has {len(row)} numbers, VARS names {width}")
         table.append(row)
@@ -126,7 +122,7 @@ def read_ssdd(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: a block is incomplete or unknown.
     """
-    data, place = gonio_table.read_bytes(path, 8.0), 0
+    data, place = load_bytes(path, 8.0), 0
     found: list[Measurement] = []
     entries: dict[str, str] = {}
     while place < len(data):
@@ -238,7 +234,7 @@ def read_brdf_json(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: not valid JSON, or variables are missing or not numbers.
     """
     try:
-        document = json.loads(gonio_table.read_text(path))
+        document = json.loads(load_text(path))
         variables = document["data"]["variables"]
         rows, names = document["data"]["values"], [str(v["name"]) for v in variables]
         units = {name: str(v.get("unit", "")) for name, v in zip(names, variables, strict=True)}
@@ -247,14 +243,11 @@ def read_brdf_json(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(f"{path}: is not a universal BRDF file, or is damaged") from None
     place = {name.lower(): i for i, name in enumerate(names)}
     angles = np.stack([_column(path, rows, names, place, units, among) for among in BRDF_JSON_ANGLES], axis=-1)
-    theta_i, phi_i = gonio_table.unsigned(angles[:, 0], angles[:, 1])
-    theta_o, phi_o = gonio_table.unsigned(angles[:, 2], angles[:, 3])
     value = _column(path, rows, names, place, units, ("brdf", "btdf", "bsdf"))
     scatter = "btdf" if "btdf" in place else "brdf"
     metadata: dict[str, Any] = {"scatter": scatter, "variables": names, "head": head}
     name = str(head.get("name", "")) if isinstance(head, dict) else ""
-    pairs = np.stack([theta_i, phi_i, theta_o, phi_o], axis=-1)
-    made = gonio_table.measurement(path, pairs, None, value[:, None], metadata, name=name)
+    made = gonio_table.measurement(path, gonio_table.unsigned(angles), None, value[:, None], metadata, name=name)
     data, assumed = dict(made.data), list(made.assumed)
     wave = next((name for name in WAVES if name in place), None)
     if wave is not None:
@@ -316,7 +309,7 @@ def read_window_xml(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: not valid XML, a basis of another kind (tensor trees), or a matrix that does not fit its basis.
     """
-    text = gonio_table.read_text(path)
+    text = load_text(path)
     text = text[max(text.find("<?xml"), 0) :]
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise NacreError(f"{path}: holds a document type declaration, which this format does not use")
@@ -406,7 +399,7 @@ def read_speos(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: the file is binary, compressed, of another kind, or damaged.
     """
-    data = read_bytes(path, 8.0)
+    data = load_bytes(path, 8.0)
     if b"\0" in data:
         raise NacreError(f"{path}: is a binary or encrypted Speos file; save it as text in the BSDF viewer")
     lines = data.decode("latin-1").splitlines()

@@ -9,10 +9,10 @@ import numpy as np
 
 from nacre.core.arrays import Array, angles_deg
 from nacre.core.errors import NacreError
-from nacre.readers.bsdf.gonio_table import DEGREES, axis, measurement, numbers, pairs_of, read_text, wavelengths_in_nm
-from nacre.readers.bsdf.gonio_table import measurement as as_measurement
+from nacre.readers.bsdf.gonio_table import DEGREES, axis, measurement, numbers, pairs_of, wavelengths_in_nm
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
+from nacre.readers.text_table import load_text, row_of_numbers
 
 # FRED tabulated scatter: `type bsdf_data`, a line `format`, then blocks of scattered directions.
 #
@@ -38,17 +38,14 @@ def read_fred(path: Path, options: ReadOptions) -> list[Measurement]:
     form: dict[str, str] = {}
     incidence: tuple[float, float] | None = None
     rows = []
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
+    for number, line in enumerate(load_text(path).splitlines(), start=1):
         words = line.split("#")[0].split()
         if not words or words[0].lower() == "type":
             continue
         if words[0].lower() == "format":
             form = dict(word.lower().partition("=")[::2] for word in words[1:])
             continue
-        try:
-            values = [float(word) for word in words]
-        except ValueError:
-            raise NacreError(f'{path}: line {number}: "{line.strip()[:40]}" is not a row of numbers') from None
+        values = row_of_numbers(path, number, line, words)
         if len(values) == 2:
             incidence = values[0], values[1]
         elif len(values) == 3 and incidence is not None:
@@ -122,7 +119,7 @@ def read_lighttools(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: the file is damaged, or blocks are missing.
     """
-    text = re.sub(r"(?m)^\s*#.*$", "", read_text(path))
+    text = re.sub(r"(?m)^\s*#.*$", "", load_text(path))
     words = iter(text.split())
     try:
         head, azimuth, radial = _head(words)
@@ -225,7 +222,7 @@ def read_tracepro(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: the property has no table of a BSDF, or rows do not fit.
     """
-    lines = read_text(path).splitlines()
+    lines = load_text(path).splitlines()
     start = next((i for i, line in enumerate(lines) if line.strip() == "Table_BSDF_Data"), None)
     if start is None:
         raise NacreError(f"{path}: holds parameters of a surface property (A, B, g) and no Table_BSDF_Data")
@@ -240,10 +237,7 @@ def read_tracepro(path: Path, options: ReadOptions) -> list[Measurement]:
             continue
         if len(words) != len(names):
             raise NacreError(f"{path}: line {number} has {len(words)} cells, the heading {len(names)}")
-        try:
-            rows.append([float(word) for word in words])
-        except ValueError:
-            raise NacreError(f'{path}: line {number}: "{line.strip()[:40]}" is not a row of numbers') from None
+        rows.append(row_of_numbers(path, number, line, words))
     if not rows:
         raise NacreError(f"{path}: Table_BSDF_Data holds no rows")
     table = {name: np.array(column) for name, column in zip(names, np.array(rows).T, strict=True)}
@@ -344,7 +338,7 @@ def read_zemax_table(path: str | Path) -> ZemaxBsdf:
         NacreError: the file is invalid.
     """
     path = Path(path)
-    lines = [line.strip() for line in read_text(path).splitlines()]
+    lines = [line.strip() for line in load_text(path).splitlines()]
     words = iter([w for line in lines if line and not line.startswith("#") for w in line.split()])
     try:
         return _parse(words)
@@ -426,6 +420,5 @@ def read_zemax(path: Path, options: ReadOptions) -> list[Measurement]:
     assumed = [f"below {first:g} degrees nothing was measured"] if first > 0 else []
     assumed += [] if colour else ["the file names no wavelength; one value stands for all"]
     return [
-        as_measurement(path, angles, None, values.reshape(len(values), -1).T, metadata, colour=colour,
-                       assumed=assumed)
-    ]  # fmt: skip
+        measurement(path, angles, None, values.reshape(len(values), -1).T, metadata, colour=colour, assumed=assumed)
+    ]

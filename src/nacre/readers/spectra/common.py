@@ -13,7 +13,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions, contradiction
 from nacre.readers.text_table import LINE_END, delimiters, find_delimiter, load_text, number, split
-from nacre.readers.units import likely_unit
+from nacre.readers.units import likely_unit, to_nm
 
 MAX_TEXT_BYTES = 256 << 20
 MAX_METADATA = 40
@@ -73,7 +73,6 @@ _GEOMETRIES: tuple[tuple[str, re.Pattern[str]], ...] = (
 )
 _WHITE = re.compile(r"(?i)\bspectralon\b|\bWS-1(?:-SL)?\b|\bBaSO4\b|barium sulphate|barium sulfate")
 UNIT_CHOICES = ("nm", "um", "angstrom", "eV", "1/cm")
-NM_EV = 1239.841984  # h c / e in nm eV (exact constants of the SI, 2019)
 
 
 @dataclass
@@ -263,15 +262,6 @@ def unit_named(text: str) -> str | None:
     """
     low = " ".join(text.strip().strip('"').lower().replace("_", " ").split())
     return next((unit for unit, pattern in _UNITS if pattern.search(low)), None)
-
-
-def nanometres(values: ArrayLike, unit: str) -> Array:
-    """Return vacuum wavelengths in nm."""
-    x = np.asarray(values, dtype=float)
-    if unit in ("eV", "1/cm"):
-        with np.errstate(divide="ignore"):
-            return np.asarray((NM_EV if unit == "eV" else 1e7) / x)
-    return np.asarray(x * {"nm": 1.0, "um": 1e3, "angstrom": 0.1}[unit])
 
 
 def option_unit(path: Path, options: ReadOptions) -> str | None:
@@ -470,7 +460,7 @@ def spectrum(
     """
     notes = notes or Notes()
     label = option_label(path, options) or label
-    nm = nanometres(x, option_unit(path, options) or unit)
+    nm = to_nm(x, option_unit(path, options) or unit)
     values = np.asarray(y, dtype=float)
     kept = np.isfinite(nm)
     if kept.sum() < 2:

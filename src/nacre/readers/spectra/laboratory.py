@@ -15,6 +15,7 @@ from nacre.readers.registry import CERTAIN, LIKELY, FileHead
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Label, Notes
 from nacre.readers.text_table import find_delimiter, number
+from nacre.readers.units import to_nm
 
 # Bruker OPUS binary files: a directory of blocks, with parameters and evenly spaced values.
 
@@ -141,7 +142,7 @@ def read_bruker_dpt(path: Path, options: ReadOptions) -> list[Measurement]:
         raise AmbiguousFileError(f"{path}: no unit of the abscissa ({reach}) in a .dpt", "unit", ("nm", "1/cm", "um"))
     label = common.option_label(path, options)
     if label is None:
-        size = common.typical(common.nanometres(table[:, 0], unit), table[:, 1])
+        size = common.typical(to_nm(table[:, 0], unit), table[:, 1])
         choices = ("reflectance", "transmittance", "absorbance", "counts")
         raise AmbiguousFileError(f"{path}: no quantity in a .dpt, values up to {size:.4g}", "quantity", choices)
     notes = Notes()
@@ -180,7 +181,7 @@ def read_perkinelmer_text(path: Path, options: ReadOptions) -> list[Measurement]
     common.check_count(path, stated, len(table), "the preamble")
     unit = common.axis_unit(path, options, x_label)
     notes = Notes()
-    label = common.named_quantity(path, options, y_label, common.nanometres(table[:, 0], unit), table[:, 1], notes)
+    label = common.named_quantity(path, options, y_label, to_nm(table[:, 0], unit), table[:, 1], notes)
     return [common.spectrum(path, table[:, 0], table[:, 1], label, options, unit=unit, metadata=metadata, notes=notes)]
 
 
@@ -230,7 +231,7 @@ def read_perkinelmer_sp(path: Path, options: ReadOptions) -> list[Measurement]:
     x = np.linspace(first, last, count)
     unit = common.axis_unit(path, options, x_label)
     notes = Notes()
-    label = common.named_quantity(path, options, y_label, common.nanometres(x, unit), values, notes)
+    label = common.named_quantity(path, options, y_label, to_nm(x, unit), values, notes)
     metadata: dict[str, Any] = {"description": data[4:44].split(b"\0")[0].decode("latin-1").strip()}
     name = _text(members.get(_NAME, b"\0\0"))
     return [common.spectrum(path, x, values, label, options, unit=unit, name=name, metadata=metadata, notes=notes)]
@@ -288,7 +289,7 @@ def read_jasco_text(path: Path, options: ReadOptions) -> list[Measurement]:
     unit = common.axis_unit(path, options, records.get("XUNITS", ""))
     keys = ("ORIGIN", "OWNER", "DATE", "TIME", "SPECTROMETER/DATA SYSTEM", "DATA TYPE")
     metadata = {key.lower(): records[key] for key in keys if records.get(key)}
-    nm = common.nanometres(table[:, 0], unit)
+    nm = to_nm(table[:, 0], unit)
     spectra = []
     for column in range(1, table.shape[1]):
         units = records.get("YUNITS" if column == 1 else f"YUNITS{column}", "")
@@ -439,7 +440,7 @@ def read_jasco_jws(path: Path, options: ReadOptions) -> list[Measurement]:
         notes.assumed.append(f"the stored last abscissa {last:g} disagrees with first, step and number: {x[-1]:g}")
     is_nm = codes[:1] == (_WAVELENGTH_NM,)
     unit = "nm" if is_nm and options.unit is None else common.assumed_unit(path, x, notes, options)
-    nm = common.nanometres(x, unit)
+    nm = to_nm(x, unit)
     label = common.option_label(path, options)
     if label is None and codes[1:] == (_ABSORBANCE,):
         label = Label("absorbance", 1.0)

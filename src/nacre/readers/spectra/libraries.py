@@ -19,6 +19,7 @@ from nacre.readers.registry import CERTAIN, LIKELY, FileHead, head_of
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Label, Notes
 from nacre.readers.text_table import number
+from nacre.readers.units import to_nm
 
 # USGS spectral library 7 (splib07, Kokaly et al. 2017, USGS Data Series 1035): ASCII files of one column.
 #
@@ -228,7 +229,7 @@ def read_aster(path: Path, options: ReadOptions) -> list[Measurement]:
     common.check_count(path, stated, len(table), "the preamble")
     notes = Notes()
     unit = common.axis_unit(path, options, units["X"])
-    nm = common.nanometres(table[:, 0], unit)
+    nm = to_nm(table[:, 0], unit)
     label = common.named_quantity(path, options, units["Y"], nm, table[:, 1], notes)
     return [
         common.spectrum(
@@ -358,7 +359,7 @@ def _spectrum(path: Path, block: Block, label: Label | None, options: ReadOption
     notes = Notes(list(shared.assumed), list(shared.left_out))
     x, y = _xy(path, block)
     unit = common.axis_unit(path, options, block.records.get("XUNITS", ""))
-    nm = common.nanometres(x, unit)
+    nm = to_nm(x, unit)
     units = block.records.get("YUNITS", "")
     label = common.agreed_label(path, options, label or common.label_of(units), units)
     if label is None:

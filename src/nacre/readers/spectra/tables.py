@@ -16,7 +16,7 @@ from nacre.readers.registry import FileHead
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Label, Notes
 from nacre.readers.text_table import LINE_END, TableFile, TextTable, decode, find_delimiter, number, split
-from nacre.readers.units import likely_unit
+from nacre.readers.units import likely_unit, to_nm
 
 HEADED, WIDE, PLAIN = 0.5, 0.4, 0.3
 OTHERS = ("n", "k", "eps1", "eps2", "alpha", "psi", "delta", "tan_psi", "cos_delta", "angle_of_incidence",
@@ -250,7 +250,7 @@ def _plain(
         raise AmbiguousFileError(f"{path}: {table.shape[1]} columns without headings", "columns")
     unit = common.agreed_unit(path, options, axis_unit, table[:, 0])
     unit = unit or common.assumed_unit(path, table[:, 0], notes, options)
-    nm = common.nanometres(table[:, 0], unit)
+    nm = to_nm(table[:, 0], unit)
     label = common.named_quantity(path, options, ordinate, nm, columns[0], notes, "no heading")
     if columns[1] is not None:
         notes.assumed.append("the third column is the standard error, because it is small beside the second")
@@ -447,7 +447,7 @@ def _check_range(path: Path, x: Array, unit: str) -> None:
     """
     if not len(x) or x.min() <= 0.0:
         return
-    nm = common.nanometres(x, unit)
+    nm = to_nm(x, unit)
     likely = likely_unit(x, unit) if nm.max() < MIN_NM or nm.min() > FAR_INFRARED_NM else None
     if likely is not None:
         raise AmbiguousFileError(

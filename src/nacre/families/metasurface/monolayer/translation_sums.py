@@ -16,16 +16,8 @@ from scipy.special import jv
 
 from nacre.core.arrays import Array, ComplexArray, gauss_legendre
 from nacre.families.metasurface.monolayer.structure import Structure
+from nacre.families.metasurface.tmatrix import special_functions
 from nacre.families.metasurface.tmatrix.axisymmetric import multipole_index, with_negative_orders
-from nacre.families.metasurface.tmatrix.special_functions import (
-    adjoint,
-    bessel_j,
-    hankel_scaled,
-    legendre,
-    mirrored,
-    plane_wave_vectors,
-    spherical_hankel_scaled,
-)
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 
 IntArray = NDArray[np.intp]
@@ -120,11 +112,11 @@ def translation_coefficients(order: int) -> ComplexArray:
     """c_p for the direct translation, `[n, n', p]`: W = sum_p c_p h_p(kr) P_p^mu(cos), mu from the pair."""
     index = multipole_index(order)
     w, weight = gauss_legendre(4 * order + 6)
-    b = plane_wave_vectors(w, order, order)
+    b = special_functions.plane_wave_vectors(w, order, order)
     right = with_negative_orders(b, index)
-    left = with_negative_orders(adjoint(b), index)
+    left = with_negative_orders(special_functions.adjoint(b), index)
     top = 2 * order
-    values = legendre(w, top, top)
+    values = special_functions.legendre(w, top, top)
     product = np.einsum("qnw,qcw->ncw", left, right)
     projected = np.einsum("ncpw,ncw->ncp", values[pair_orders(order)], weight * product)
     return np.asarray(4 * (1j) ** np.arange(top + 1) * projected)
@@ -135,7 +127,7 @@ def direct_coefficients(order: int) -> ComplexArray:
     """c_p P_p^mu(0) for the direct translation in the plane, `[n, n', p, mu]`, zero except at the pair's mu."""
     top = 2 * order
     mu = pair_orders(order)
-    found = translation_coefficients(order) * legendre(np.array(0.0), top, top)[mu]
+    found = translation_coefficients(order) * special_functions.legendre(np.array(0.0), top, top)[mu]
     return np.asarray(found[..., None] * (mu[..., None, None] == np.arange(top + 1)))
 
 
@@ -168,7 +160,7 @@ def _direct_sums(structure: Structure, wavenumber: float, order: int, kappa: Arr
     pieces = int(np.ceil((reach - a) / (a / 2)))
     r, weight = panels(np.linspace(a, reach, pieces + 1), int(8 + 0.6 * a))
     g = 1.0 + structure.pair_excess(r / wavenumber)
-    hankel = spherical_hankel_scaled(r, top) * (np.exp(1j * r) * weight * g * r)
+    hankel = special_functions.spherical_hankel_scaled(r, top) * (np.exp(1j * r) * weight * g * r)
     bessel = jv(np.arange(top + 1)[:, None, None], r[:, None] * kappa)  # mu, R, angle
     near = np.einsum("pr,mra->pma", hankel, bessel, optimize=True)
     return near + _rotated_tail(reach, top, kappa)
@@ -189,7 +181,7 @@ def _rotated_tail(reach: float, top: int, kappa: Array) -> ComplexArray:
                 continue
             k = kappa[chosen]
             r = reach + 1j * turn * s
-            h = spherical_hankel_scaled(r, top) * (weight * 1j * turn * r)
+            h = special_functions.spherical_hankel_scaled(r, top) * (weight * 1j * turn * r)
             safe = np.maximum(k, ALONG_THE_NORMAL)
             arg = r[:, None] * safe
             phase = np.exp(1j * (1 + sign * k) * r[:, None])
@@ -197,7 +189,7 @@ def _rotated_tail(reach: float, top: int, kappa: Array) -> ComplexArray:
             steep_reach = (
                 (k >= ALONG_THE_NORMAL) & (turn * (1 + sign * k) * s[:, None] < SILENT) & (s[:, None] > NEAR_START)
             )
-            cylinder[:2, steep_reach] = hankel_scaled(arg[steep_reach], sign)
+            cylinder[:2, steep_reach] = special_functions.hankel_scaled(arg[steep_reach], sign)
             for mu in range(1, top):
                 cylinder[mu + 1] = 2 * mu / arg * cylinder[mu] - cylinder[mu - 1]
             zero = (k < ALONG_THE_NORMAL)[None, None, :]
@@ -269,7 +261,7 @@ def reflected_sums(
     factors = [
         (with_negative_orders(left, index) * (4 * weight * kappa / w), with_negative_orders(right, index))
         for left, right in surface.reflection_at(centre_nm, w, lift_nm).pairs(
-            plane_wave_vectors(w, order, order, kappa)
+            special_functions.plane_wave_vectors(w, order, order, kappa)
         )
     ]
     out = np.zeros((*mu.shape, moments.shape[-1]), dtype=complex)
@@ -300,7 +292,7 @@ def _stack_sums(
     measure = np.concatenate([w_in, w_out]) * r * structure.pair_excess(r / k)
     contour = stack_contour(surface, geometry.centre_nm, order, reach, quick=quick)
     top = 2 * order if np.any(kappa_i >= ALONG_THE_NORMAL) else 0  # J_mu(0) = delta_{mu 0}
-    radial = bessel_j(np.outer(contour[0], r), top)  # mu, kappa, R
+    radial = special_functions.bessel_j(np.outer(contour[0], r), top)  # mu, kappa, R
     bessel = jv(np.arange(top + 1)[:, None, None], r[:, None] * kappa_i)
     moments = np.matmul(radial, measure[:, None] * bessel)  # mu, kappa, angle
     rows = every_row | (multipole_index(order).m[:, None] >= 0)
@@ -340,10 +332,10 @@ def plane_wave_sums(
     Returns: `[pol, angle, h, h']`.
     """
     surface, order = geometry.surface, geometry.order
-    b = plane_wave_vectors(w, order, order, kappa.astype(complex))
+    b = special_functions.plane_wave_vectors(w, order, order, kappa.astype(complex))
     factor = 4 * np.pi * geometry.structure.density_per_nm2 / (surface.inner_wavenumber**2 * w)
-    turned = mirrored(np.ones((*b.shape[:3], 1), dtype=complex)).real[..., 0]
-    left_all = adjoint(b)
+    turned = special_functions.mirrored(np.ones((*b.shape[:3], 1), dtype=complex)).real[..., 0]
+    left_all = special_functions.adjoint(b)
     reflection = None
     if is_reflected and not surface.is_absent:
         reflection = surface.reflection_at(geometry.centre_nm, w, geometry.lift_nm)

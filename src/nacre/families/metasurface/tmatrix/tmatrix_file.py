@@ -19,41 +19,10 @@ from numpy.typing import NDArray
 from nacre._version import __version__
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.files import atomic_path
-from nacre.families.metasurface.tmatrix.axisymmetric import (
-    AxialTMatrices,
-    condon_shortley_signs,
-    gain,
-    mirror_signs,
-    multipole_index,
-    reciprocal,
-    reversed_full,
-)
+from nacre.families.metasurface.tmatrix import axisymmetric
 from nacre.matter.mie import mie_coefficients
-from nacre.readers.hdf5 import (
-    MAX_BYTES,
-    PROBE,
-    PROBE_TIMEOUT_S,
-    Hdf5Error,
-    attribute,
-    dataset,
-    node,
-    opened,
-    refuse_links,
-)
-from nacre.readers.tmatrix import (
-    GAIN_TOLERANCE,
-    HIGHEST_ORDER,
-    TMatrixFileError,
-    check_centre,
-    embedding_index,
-    material_epsilon,
-    matrices_of,
-    modes_of,
-    shape_of,
-    shown,
-    si_unit,
-    wavelengths_of,
-)
+from nacre.readers import hdf5, tmatrix
+from nacre.readers.tmatrix import TMatrixFileError
 
 if TYPE_CHECKING:
     import h5py
@@ -85,7 +54,7 @@ def axial(blocks: ComplexArray) -> tuple[ComplexArray, float]:
             f"on its turn, and a mean over turns, which is what is taken, may leave out {100 * TURN_TOLERANCE:g} %; "
             'orientation = "aligned" takes it whole, of particles that all point one way'
         )
-    partners = mirror_signs(lmax) * own[:, ::-1]
+    partners = axisymmetric.mirror_signs(lmax) * own[:, ::-1]
     uneven = np.linalg.norm((own - partners).reshape(len(own), -1), axis=1) / total
     if np.max(uneven) > AXIS_TOLERANCE:
         raise TMatrixFileError(
@@ -93,7 +62,7 @@ def axial(blocks: ComplexArray) -> tuple[ComplexArray, float]:
             "would turn the polarisation, which is not modelled"
         )
     half = 0.5 * (own + partners)[:, lmax:]
-    even = reciprocal(half)
+    even = axisymmetric.reciprocal(half)
     if np.linalg.norm(half - even) > AXIS_TOLERANCE * np.linalg.norm(half):
         raise TMatrixFileError("is of a particle that is not reciprocal, or in other waves than the format's")
     _check_passive(even)
@@ -105,7 +74,7 @@ def mean_blocks(blocks: ComplexArray) -> ComplexArray:
     count = blocks.shape[1]
     m = np.arange(count)
     own = blocks[:, m, m]
-    return reciprocal(0.5 * (own + mirror_signs(count // 2) * own[:, ::-1])[:, count // 2 :])
+    return axisymmetric.reciprocal(0.5 * (own + axisymmetric.mirror_signs(count // 2) * own[:, ::-1])[:, count // 2 :])
 
 
 def full_or_none(blocks: ComplexArray) -> ComplexArray | None:
@@ -121,10 +90,10 @@ def full_or_none(blocks: ComplexArray) -> ComplexArray | None:
     coupled[:, m, m] = 0.0
     if np.all(np.linalg.norm(coupled.reshape(len(blocks), -1), axis=1) <= AXIS_TOLERANCE * total):
         return None
-    index = multipole_index(count // 2)
-    row, place, sign = index.m + count // 2, index.block, condon_shortley_signs(index)
+    index = axisymmetric.multipole_index(count // 2)
+    row, place, sign = index.m + count // 2, index.block, axisymmetric.condon_shortley_signs(index)
     whole = blocks[:, row[:, None], row, place[:, None], place] * sign[:, None] * sign
-    even = 0.5 * (whole + reversed_full(whole))
+    even = 0.5 * (whole + axisymmetric.reversed_full(whole))
     if np.linalg.norm(whole - even) > AXIS_TOLERANCE * np.linalg.norm(even):
         raise TMatrixFileError("is of a particle that is not reciprocal, or in other waves than the format's")
     _check_passive(even)
@@ -132,8 +101,8 @@ def full_or_none(blocks: ComplexArray) -> ComplexArray | None:
 
 
 def _check_passive(matrix: ComplexArray) -> None:
-    excess = gain(matrix)
-    if excess > GAIN_TOLERANCE:
+    excess = axisymmetric.gain(matrix)
+    if excess > tmatrix.GAIN_TOLERANCE:
         raise TMatrixFileError(
             f"is of a particle that radiates more than it gets (by {100 * excess:.2g} %): not passive"
         )
@@ -149,7 +118,7 @@ ELECTRIC, MAGNETIC = ("electric", "tm", "n"), ("magnetic", "te", "m")
 POSITIVE, NEGATIVE = ("positive", "plus"), ("negative", "minus")
 
 
-def read_tmatrices(path: str | Path, is_aligned: bool = False) -> AxialTMatrices:
+def read_tmatrices(path: str | Path, is_aligned: bool = False) -> axisymmetric.AxialTMatrices:
     """Read T-matrices for one particle; without rotational symmetry, its average over rotations about z.
 
     The average is T without couplings between different m: exactly the mean field scattered by randomly rotated
@@ -164,16 +133,16 @@ def read_tmatrices(path: str | Path, is_aligned: bool = False) -> AxialTMatrices
         TMatrixFileError: damaged, not passive, not reciprocal, chiral, or far from axisymmetric.
     """
     try:
-        with opened(path, PROBE, PROBE_TIMEOUT_S) as file:
-            refuse_links(file)
+        with hdf5.opened(path, hdf5.PROBE, hdf5.PROBE_TIMEOUT_S) as file:
+            hdf5.refuse_links(file)
             return _read(file, is_aligned)
-    except Hdf5Error as error:
+    except hdf5.Hdf5Error as error:
         raise TMatrixFileError(str(error)) from None
     except (KeyError, ValueError, TypeError, RuntimeError, IndexError, AttributeError, UnicodeError, OSError) as error:
-        raise TMatrixFileError(f"is damaged: {shown(str(error), 120)}") from None
+        raise TMatrixFileError(f"is damaged: {tmatrix.shown(str(error), 120)}") from None
 
 
-def read_several(paths: Sequence[Path], is_aligned: bool = False) -> AxialTMatrices:
+def read_several(paths: Sequence[Path], is_aligned: bool = False) -> axisymmetric.AxialTMatrices:
     """Read the T-matrices of one particle from several files, each at other wavelengths.
 
     Raises:
@@ -210,22 +179,22 @@ def read_several(paths: Sequence[Path], is_aligned: bool = False) -> AxialTMatri
     )  # fmt: skip
 
 
-def _read(file: h5py.File, is_aligned: bool) -> AxialTMatrices:
-    values = matrices_of(file)
-    wavelengths = wavelengths_of(file, len(values))[0]
-    index = embedding_index(file, len(values))
+def _read(file: h5py.File, is_aligned: bool) -> axisymmetric.AxialTMatrices:
+    values = tmatrix.matrices_of(file)
+    wavelengths = tmatrix.wavelengths_of(file, len(values))[0]
+    index = tmatrix.embedding_index(file, len(values))
     order = np.argsort(wavelengths)
     parity = _parity_blocks(file, values[order])
     shape, geometry = _geometry(file)
-    epsilon = material_epsilon(file, len(values))
+    epsilon = tmatrix.material_epsilon(file, len(values))
     if epsilon is not None:
         epsilon = epsilon[order]
     whole = full_or_none(parity) if is_aligned else None
     blocks, turn_loss = axial(parity) if whole is None else (mean_blocks(parity), 0.0)
     if epsilon is not None:
         _check_time_sign(parity, wavelengths[order], index[order], epsilon, shape, geometry)
-    name = shown(attribute(file.attrs, "name"), 60)
-    return AxialTMatrices(
+    name = tmatrix.shown(hdf5.attribute(file.attrs, "name"), 60)
+    return axisymmetric.AxialTMatrices(
         wavelengths[order],
         blocks,
         index[order],
@@ -306,17 +275,17 @@ def _parity_blocks(file: h5py.File, values: ComplexArray) -> ComplexArray:
     Raises:
         TMatrixFileError: modes are missing or for several centres.
     """
-    check_centre(file)
+    tmatrix.check_centre(file)
     sides = []
     for side, size in (("scattered", values.shape[1]), ("incident", values.shape[2])):
-        l, m, words = modes_of(file, side)
+        l, m, words = tmatrix.modes_of(file, side)
         if not len(l) == len(m) == len(words) == size:
             raise TMatrixFileError(f"names {len(l)} modes for {size} {side} ones")
         sides.append((l, m, words))
     lmax = min(int(side[0].max()) for side in sides)
-    if lmax > HIGHEST_ORDER:
-        raise TMatrixFileError(f"holds multipoles up to l = {lmax}; at most {HIGHEST_ORDER} are read")
-    if len(values) * (2 * lmax + 1) ** 2 * (2 * lmax) ** 2 * 16 > 4 * MAX_BYTES:
+    if lmax > tmatrix.HIGHEST_ORDER:
+        raise TMatrixFileError(f"holds multipoles up to l = {lmax}; at most {tmatrix.HIGHEST_ORDER} are read")
+    if len(values) * (2 * lmax + 1) ** 2 * (2 * lmax) ** 2 * 16 > 4 * hdf5.MAX_BYTES:
         raise TMatrixFileError(f"holds multipoles up to l = {lmax} at {len(values)} wavelengths, which is too much")
     helicity = all(w in POSITIVE + NEGATIVE for w in sides[0][2])
     places = [_places(*side, lmax, helicity) for side in sides]
@@ -343,7 +312,7 @@ def _places(
     odd = next((w for w in words if w not in first + second), None)
     if odd is not None:
         raise TMatrixFileError(
-            f'names a polarization "{shown(odd)}"; it should be electric and magnetic, or positive and negative'
+            f'names a polarization "{tmatrix.shown(odd)}"; it should be electric and magnetic, or positive and negative'
         )
     kind = np.array([w in second for w in words], dtype=np.int64)
     selected = np.nonzero(l <= lmax)[0]
@@ -358,23 +327,25 @@ def _geometry(file: h5py.File) -> tuple[str, dict[str, float]]:
 
     nacre also writes the circumscribing radius, and radius and height without a shape, for rounded or coated particles.
     """
-    group = node(file, "scatterer/geometry")
+    group = hdf5.node(file, "scatterer/geometry")
     if group is None or not hasattr(group, "keys"):
         return "", {}
-    shape = shape_of(file)
+    shape = tmatrix.shape_of(file)
 
     def length(name: str) -> float | None:
-        stored = dataset(group, name)
+        stored = hdf5.dataset(group, name)
         if stored is None:
             return None
         attributes = stored.attrs if "unit" in stored.attrs else group.attrs
-        value = float(np.ravel(np.asarray(stored[()], dtype=float))[0]) * si_unit(attributes, "length", name) * 1e9
+        value = (
+            float(np.ravel(np.asarray(stored[()], dtype=float))[0]) * tmatrix.si_unit(attributes, "length", name) * 1e9
+        )
         if not 0.0 < value < 1e5:
             raise TMatrixFileError(f"gives a {name} of {value:g} nm")
         return value
 
     for name in ("position", "expansion_center"):
-        moved = dataset(group, name)
+        moved = hdf5.dataset(group, name)
         if moved is not None and np.any(np.asarray(moved[()], dtype=float) != 0.0):
             return "", {}  # the expansion centre is not the particle centre
     if shape == "sphere" and (radius := length("radius")):
@@ -395,7 +366,7 @@ def _geometry(file: h5py.File) -> tuple[str, dict[str, float]]:
 
 
 def write_tmatrices(
-    path: str | Path, known: AxialTMatrices, shape: str = "", method: str = "", description: str = ""
+    path: str | Path, known: axisymmetric.AxialTMatrices, shape: str = "", method: str = "", description: str = ""
 ) -> None:
     """Write T-matrices in the parity basis, l ascending, m from -l to l, electric before magnetic.
 
@@ -419,9 +390,9 @@ def write_tmatrices(
     if known.whole is None:
         whole = np.where(m[:, None] == m, known.blocks[:, np.abs(m)[:, None], place[:, None], place] * signs, 0.0)
     else:
-        index = multipole_index(lmax)
+        index = axisymmetric.multipole_index(lmax)
         ours = np.lexsort((1 - index.tau, index.m, index.l))  # sorted by l, then m, electric before magnetic
-        sign = condon_shortley_signs(index)[ours]
+        sign = axisymmetric.condon_shortley_signs(index)[ours]
         whole = known.whole[:, ours[:, None], ours] * sign[:, None] * sign
     with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs.update(
@@ -458,7 +429,7 @@ def write_tmatrices(
             geometry[name].attrs["unit"] = "nm"
 
 
-def _extents(shape: str, known: AxialTMatrices) -> dict[str, float]:
+def _extents(shape: str, known: axisymmetric.AxialTMatrices) -> dict[str, float]:
     radius_nm, height_nm, reach_nm = known.radius_nm, known.height_nm, known.circumscribing_nm
     if radius_nm is None or height_nm is None:
         return {}
