@@ -284,7 +284,7 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
             "estimated_error": float(f"{error:.2g}"),
             "interpolation_error": float(f"{between:.2g}"),
         }
-        warnings = []
+        warnings: list[str] = []
         for part in (each for t in tables for each in (t.mirror, t.passed, t.reflected.sum(axis=2))):
             some = part[: -1 : len(part) // 2, : -1 : max(part.shape[1] // 4, 1)]  # 0 and 45 degrees, four azimuths
             if not warnings and (said := sampling_warning(some, lam)):
