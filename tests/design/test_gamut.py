@@ -52,7 +52,7 @@ def test_share_within_is_one_for_the_solid_itself() -> None:
 
 def test_a_slow_machine_computes_every_point_unless_the_time_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = itertools.count(step=100.0)
-    monkeypatch.setattr("nacre.optimise.gamut.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("nacre.optimise.gamut.clock", lambda: next(clock))
     assert len(nacre.gamut(nacre.material(OXIDE), FREE, points=12).lab) == 12
     assert len(nacre.gamut(nacre.material(OXIDE), FREE, points=12, seconds=60.0).lab) == 8
 

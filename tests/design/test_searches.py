@@ -16,12 +16,13 @@ import pytest
 
 import nacre
 from nacre.cli import run
+from nacre.core import jit
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.optimise.evaluation import evaluate, geometries_of
 from nacre.optimise.methods.least_squares import LeastSquaresSearch
 from nacre.optimise.parameters import Parameter
-from nacre.optimise.problem import Problem
+from nacre.optimise.problem import Budget, Problem
 from nacre.optimise.run import budget_of, choose_search
 from nacre.optimise.solutions import DesignProgress, are_alike
 from nacre.optimise.task import read_task
@@ -325,3 +326,13 @@ def test_a_budget_of_evaluations_gives_the_same_result_at_any_speed(monkeypatch:
             results.append(search.run(budget_of(task, search)))
     assert results[0].status == "evaluations" and results[0].evaluations >= 40
     assert results[0].solutions == results[1].solutions
+
+
+def test_compilation_does_not_use_up_a_time_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A first run, which compiles, has the time of the later ones and so the same answer."""
+    budget, begun, compiled = Budget(seconds=60.0), time.monotonic(), jit._seconds_compiled
+    monkeypatch.setattr(time, "monotonic", lambda: begun + 100.0)
+    monkeypatch.setattr(jit, "_seconds_compiled", compiled + 90.0)
+    assert not budget.is_over() and budget.share_used < 0.5
+    monkeypatch.setattr(jit, "_seconds_compiled", compiled + 30.0)
+    assert budget.is_over() and budget.is_late

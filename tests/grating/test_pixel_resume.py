@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,6 @@ from PIL import Image
 import nacre
 from nacre.core.errors import NacreError, RecipeError
 from nacre.optimise import checkpoint
-from nacre.optimise.image import colour_grid
 from nacre.optimise.solutions import DesignProgress
 
 NODES = 33  # 17 nodes and one refinement
@@ -86,7 +86,7 @@ def test_a_slow_machine_finds_the_same_picture(target: dict[str, Any], tmp_path:
         return (1e4 * k for k in itertools.count())  # hours between two readings
 
     readings = slow()
-    monkeypatch.setattr(colour_grid.time, "monotonic", lambda: next(readings))
+    monkeypatch.setattr(time, "monotonic", lambda: next(readings))
     nacre.design(target, tmp_path / "slow")
     assert same(tmp_path / "fast", tmp_path / "slow")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import abc
 import json
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import read_text, write_text
+from nacre.core.jit import clock
 from nacre.optimise.problem import Budget, Changes, Result, Search
 from nacre.optimise.solutions import Design, DesignProgress, Solution, claim, write_summary
 
@@ -44,7 +44,7 @@ class Checkpointer:
     @property
     def is_due(self) -> bool:
         """Whether the interval since the last write is over."""
-        return time.monotonic() - self.written_at > WRITE_INTERVAL_S
+        return clock() - self.written_at > WRITE_INTERVAL_S
 
     def update(self, solutions: Sequence[Mapping[str, Any]], **progress: Any) -> None:
         """Write the solutions and the progress.
@@ -52,7 +52,7 @@ class Checkpointer:
         Raises:
             NacreError: the folder cannot be written.
         """
-        self.written_at, self.solutions, self.progress = time.monotonic(), solutions, progress
+        self.written_at, self.solutions, self.progress = clock(), solutions, progress
         state = {"target": self.fingerprint, "runs": self.runs, "solutions": [dict(one) for one in solutions]}
         state |= {"progress": progress} if progress else {}
         write_text(self.folder / STATE, json.dumps(state) + "\n")
@@ -154,7 +154,7 @@ class DesignFolder(abc.ABC, Generic[Answer]):
     @property
     def spent_s(self) -> float:
         """Time since the start of the design."""
-        return time.monotonic() - self.begun
+        return clock() - self.begun
 
     @property
     def left_s(self) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
+from nacre.core.jit import clock
 from nacre.families.contract import ExpensiveMethod, Mixed, is_direct
 from nacre.light import (
     delta_e_2000,
@@ -135,7 +135,7 @@ def _evaluated(
     material: Material, targets: Sequence[Target], light: LightSpec, seed: int, seconds: float
 ) -> tuple[list[TargetResult], Measurement]:
     geometries = geometries_of(targets)
-    begun = time.monotonic()
+    begun = clock()
     fine, coarse = (choose(material, light.illuminants) for choose in (evaluation_wavelengths, search_wavelengths))
     is_quick = material.model.traits.is_quick
     if is_direct(material.model):  # at the target directions, with an empty cache
@@ -157,7 +157,7 @@ def _evaluated(
             noise = _noise(estimates, measured, targets, light)
             results = [replace(r, noise=float(n)) for r, n in zip(results, noise, strict=True)]
             is_quiet = all(r.noise <= MAX_NOISE * r.target.tolerance for r in results)
-            if is_quiet or len(estimates) >= MAX_ESTIMATES or time.monotonic() - begun > seconds:
+            if is_quiet or len(estimates) >= MAX_ESTIMATES or clock() - begun > seconds:
                 return results, mean
         for _ in range(max(1, len(estimates) // 2)):
             factors = measured.factors.copy()

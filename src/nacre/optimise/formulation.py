@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import check_room, check_writable, output_folder, read_text, write_text
+from nacre.core.jit import clock
 from nacre.families.contract import Surrogate, surrogate_radiance
 from nacre.light import lamp_lines_nm, spectrum_to_xyz, with_lamp_lines
 from nacre.material.material import Material, material
@@ -562,7 +562,7 @@ class PaintSearch(Search):
         formulas = [_formula(paint, paint.fractions(at)) for _, paint, at in self.finalists[: self.solution_count]]
         ranked = tuple(sorted(formulas, key=lambda each: each.distance))
         status = "done" if result.status == "exhausted" else result.status
-        seconds = time.monotonic() - self.budget.start_time
+        seconds = clock() - self.budget.start_time
         return Formulation(ranked, self.task.labels, self.combinations, status, seconds)
 
     def _search(self, known: Sequence[Mapping[str, Any]]) -> None:
@@ -620,7 +620,7 @@ class FormulationFolder(DesignFolder[Formulation]):
     search: PaintSearch
 
     def __init__(self, task: Task, search: PaintSearch, checkpointer: Checkpointer) -> None:
-        super().__init__(checkpointer, time.monotonic(), task.spec.search.seconds, None, None)
+        super().__init__(checkpointer, clock(), task.spec.search.seconds, None, None)
         self.task, self.search = task, search
         search.restore(checkpointer)
 

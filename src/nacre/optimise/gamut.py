@@ -7,7 +7,6 @@ its volume in CIELAB, the share that lies within a dE00 from a reached colour.
 from __future__ import annotations
 
 import functools
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.html import render_page
+from nacre.core.jit import clock
 from nacre.light import (
     SRGB_WHITE_XYZ,
     adapt_xyz,
@@ -262,7 +262,7 @@ def _parameter_gamut(
         NacreError: all points fail.
     """
     count, seconds, seed = draws
-    start = time.monotonic()
+    start = clock()
     grid = search_wavelengths([material, *_variants(material, parameters)][-1], [light[0]])
     weights, white = xyz_weights(grid, *light), white_xyz(*light)
     possible = _combinations(parameters, count)
@@ -280,7 +280,7 @@ def _parameter_gamut(
     factors: list[Array] = []
     labs: list[Array] = []
     failed = done = 0
-    while done < count and (seconds is None or time.monotonic() - start < seconds or done < MIN_POINTS):
+    while done < count and (seconds is None or clock() - start < seconds or done < MIN_POINTS):
         point = planned[done] if done < len(planned) else _near_extreme(points, np.array(labs), done, generator)
         done += 1
         try:

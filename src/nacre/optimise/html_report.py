@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +12,7 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.files import write_text
 from nacre.core.html import render_page
+from nacre.core.jit import clock
 from nacre.families.contract import is_direct
 from nacre.light import lamp_lines_nm, white_xyz
 from nacre.material.material import Material
@@ -48,7 +48,7 @@ def write_page(folder: Path, task: DesignTask, design: Any, seconds: float, begu
         task: the design task.
         design: the `Design`; its summary gets the total time.
         seconds: time limit; in a short one only the best solution has a picture, and the gamut is omitted.
-        begun: `time.monotonic()` at the design start.
+        begun: `core.jit.clock()` at the design start.
 
     Raises:
         NacreError: the folder cannot be written.
@@ -56,21 +56,21 @@ def write_page(folder: Path, task: DesignTask, design: Any, seconds: float, begu
     from nacre.plot import save_figure
     from nacre.plot.sheets import design_figure
 
-    page_begun = time.monotonic()
+    page_begun = clock()
     solutions = []
     for number, solution in enumerate(design.solutions, start=1):
         picture = None
-        if number == 1 or time.monotonic() - page_begun < PICTURES_SHARE * seconds:
+        if number == 1 or clock() - page_begun < PICTURES_SHARE * seconds:
             figure = design_figure(sheet_of(task, solution, number, design))
             picture = data_uri(figure, DPI)
             if number == 1:
                 save_figure(figure, folder / PICTURE, {"target": task.fingerprint})
         solutions.append(_entry(solution, picture, folder, task))
-    left = GAMUT_SHARE * seconds - (time.monotonic() - page_begun)
+    left = GAMUT_SHARE * seconds - (clock() - page_begun)
     # at most as long as the design took
     left = min(left, max(design.seconds, MIN_GAMUT_S))
     gamut = _gamut(task, left, design.solutions[0].facts.get("judging_s", 0.0))
-    design.summary["seconds"] = round(time.monotonic() - begun, 3)
+    design.summary["seconds"] = round(clock() - begun, 3)
     light, spec = task.spec.light, task.spec.model_dump(exclude_none=True)
     page = render_page(
         "design_report.html",

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import abc
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.core.jit import clock
 from nacre.material.material import Material
 from nacre.optimise.evaluation import geometries_of
 from nacre.optimise.measurement import Measurement, search_wavelengths, simulate_measurement
@@ -49,7 +49,7 @@ class Budget:
         seconds: outer time limit.
         reserved_s: time after the search that is kept for the final evaluation.
         used: evaluations spent.
-        start_time: by `time.monotonic`.
+        start_time: by `core.jit.clock`.
         is_late: whether the time limit ended the search or a phase.
     """
 
@@ -57,23 +57,23 @@ class Budget:
     seconds: float = np.inf
     reserved_s: float = 0.0
     used: float = 0.0
-    start_time: float = field(default_factory=lambda: time.monotonic())
+    start_time: float = field(default_factory=clock)
     is_late: bool = False
 
     def phase(self, share: float = 1.0) -> Phase:
         """Return a budget share that begins now."""
-        return Phase(self, self.used + share * self.evaluations, time.monotonic() + share * self.seconds)
+        return Phase(self, self.used + share * self.evaluations, clock() + share * self.seconds)
 
     @property
     def share_used(self) -> float:
         """The spent share of evaluations or of time, whichever is larger."""
-        return max(self.used / self.evaluations, (time.monotonic() - self.start_time) / self.seconds)
+        return max(self.used / self.evaluations, (clock() - self.start_time) / self.seconds)
 
     def is_over(self, evaluations: float | None = None, end_time: float | None = None, reserve_s: float = 0.0) -> bool:
         """Whether the evaluations are spent, or the time except for a reserve; default: those of the whole budget."""
         if self.used >= (self.evaluations if evaluations is None else evaluations):
             return True
-        if time.monotonic() + reserve_s <= (self.start_time + self.seconds if end_time is None else end_time):
+        if clock() + reserve_s <= (self.start_time + self.seconds if end_time is None else end_time):
             return False
         self.is_late = True
         return True
@@ -304,14 +304,12 @@ class Search(abc.ABC):
 
     def is_report_due(self, is_forced: bool = False) -> bool:
         """Whether progress is reported now: at intervals unless forced."""
-        return self._on_progress is not None and (
-            is_forced or time.monotonic() - self._reported_at > PROGRESS_INTERVAL_S
-        )
+        return self._on_progress is not None and (is_forced or clock() - self._reported_at > PROGRESS_INTERVAL_S)
 
     def report(self, is_forced: bool = False) -> None:
         """Report progress, at intervals unless forced."""
         if self._on_progress is not None and self.is_report_due(is_forced):
-            self._reported_at = time.monotonic()
+            self._reported_at = clock()
             self._on_progress(self.best, self.best_changes)
 
     def record(self, objective: float, changes: Changes) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import check_room, output_folder, read_text
+from nacre.core.jit import clock
 from nacre.families.contract import is_direct
 from nacre.optimise.checkpoint import Checkpointer, SolvableFolder
 from nacre.optimise.evaluation import evaluate, objective, rank
@@ -109,7 +109,7 @@ def run(
 
     Example: `nacre.design("violet.toml", "violet").best.targets[0].distance`.
     """
-    begun = time.monotonic()
+    begun = clock()
     task = read_target(target)
     folder = Path(task.name if out is None else out)
     check_room(folder, NEED_BYTES)
@@ -134,7 +134,7 @@ def search_of(
     jobs: int | None = None,
 ) -> SolvableFolder:
     """Return the search of a task at work, in the folder of its checkpoint; see `run`."""
-    begun = time.monotonic() if begun is None else begun
+    begun = clock() if begun is None else begun
     return SEARCHES[type(task)](task, checkpointer, begun, progress, jobs)
 
 
@@ -318,13 +318,13 @@ def evaluate_solution(
         min_sensitivity_s: for the sensitivity in any case.
     """
     spec = task.spec
-    begun = time.monotonic()
+    begun = clock()
     try:
         made = task.material.vary(changes)
         results, seen = evaluate(made, task.targets, spec.light, seed=spec.search.seed, seconds=0.5 * seconds)
     except NacreError:
         return None
-    took = time.monotonic() - begun
+    took = clock() - begun
     facts: dict[str, Any] = {"judging_s": took}
     with contextlib.suppress(NacreError):
         paths = [p for p in numbers_of(made.data) if is_chosen(p, changes, task.parameters) and made.get(p)]

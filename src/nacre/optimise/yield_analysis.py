@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.core.jit import clock
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
 from nacre.measure.texture import TextureQuantity
@@ -128,7 +128,7 @@ def yield_of(
         seconds: time limit, after which fewer samples of an expensive material suffice.
         measured: result from the final evaluation.
     """
-    begun = time.monotonic()
+    begun = clock()
     evaluator = Evaluator.of(material, targets, light, seed, measured)
     merit = evaluator.merit
     limits = np.array([merit.operands[index].tolerance for index, _ in merit.terms])
@@ -144,7 +144,7 @@ def yield_of(
             with contextlib.suppress(NacreError):  # an impossible sample fails
                 good += bool(np.all(merit.distances(evaluator.one(paths, row)) <= limits))
             done += 1
-            if time.monotonic() - begun > 0.7 * seconds and done >= MIN_DRAWS:
+            if clock() - begun > 0.7 * seconds and done >= MIN_DRAWS:
                 break
     costs = _costs(evaluator, tolerances)
     return {
@@ -189,13 +189,13 @@ def sensitivity(
         seconds: time limit, after which no further parameter of an expensive material is tried.
         measured: result from the final evaluation.
     """
-    begun = time.monotonic()
+    begun = clock()
     evaluator = Evaluator.of(material, targets, light, seed, measured)
     found: list[dict[str, Any]] = []
     unit = f"{evaluator.unit}_of_1_percent"
     for path in paths:
         value = float(material.get(path))
         found.append({"path": path, "value": value, unit: evaluator.effect(path, value, RELATIVE_STEP * abs(value))})
-        if time.monotonic() - begun > seconds and evaluator.at_once([path], np.array([[value]])) is None:
+        if clock() - begun > seconds and evaluator.at_once([path], np.array([[value]])) is None:
             break
     return sorted(found, key=lambda entry: -entry[unit])

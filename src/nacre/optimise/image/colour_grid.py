@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import logging
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
+from nacre.core.jit import clock
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
 from nacre.material.material import Material
 from nacre.matter.periodic.structure import NotConvergedError
@@ -136,7 +136,7 @@ class Palette:
         solved: XYZ of an earlier run, in the order of evaluation; more are appended. Batches are not stored.
         on_progress: called after each material with the number solved.
         is_interrupted: polled before each material.
-        end_time: monotonic time at which the refinement ends.
+        end_time: time by `core.jit.clock` at which the refinement ends.
         is_stopped: whether an interrupt or the time ended the refinement.
     """
 
@@ -179,7 +179,7 @@ class Palette:
             return None
 
         def is_over() -> bool:
-            return self.is_interrupted() or time.monotonic() > self.end_time
+            return self.is_interrupted() or clock() > self.end_time
 
         found = None if is_over() else self._xyz(points, is_over)
         self.is_stopped = found is None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import textwrap
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.files import atomic_path, write_text
 from nacre.core.html import png_uri, render_page
+from nacre.core.jit import clock
 from nacre.families.contract import Pixels
 from nacre.light import delta_e_2000, lab_to_xyz, xyz_to_lab
 from nacre.material.material import load
@@ -115,7 +115,7 @@ def design_picture(
     Args:
         task: its only target is a picture.
         checkpointer: of the palette, in the folder of the design, which exists.
-        begun: `time.monotonic()` at the start.
+        begun: `core.jit.clock()` at the start.
         progress: called before, during and after the computation.
 
     Raises:
@@ -129,7 +129,7 @@ def design_picture(
 
     def report(worst: float, said: str, count: int = 0) -> None:
         if progress is not None:
-            spent = time.monotonic() - begun
+            spent = clock() - begun
             progress(DesignProgress(worst, spent, max(total - spent, 0.0), count, said))
 
     def solved(count: int) -> None:
@@ -163,7 +163,7 @@ def design_picture(
     summary: dict[str, Any] = {
         "status": status,
         "message": message,
-        "seconds": round(time.monotonic() - begun, 3),
+        "seconds": round(clock() - begun, 3),
         "solutions": [_document(solution, task)],
         "light": task.spec.light.model_dump(),
         "seed": task.spec.search.seed,
@@ -309,7 +309,7 @@ def _write_report(folder: Path, task: DesignTask, design: Design, picture: Pictu
     sheet = PictureSheet(title, picture.asked, picture.reached, picture.distance, picture.is_mapped, maps, note)
     save_figure(picture_figure(sheet), folder / PICTURE, {"target": task.fingerprint})
     spec = task.spec.model_dump(exclude_none=True)
-    design.summary["seconds"] = round(time.monotonic() - begun, 3)
+    design.summary["seconds"] = round(clock() - begun, 3)
     page = render_page(
         "image_report.html",
         title=task.name,

@@ -8,7 +8,6 @@ an order with angular width w falls to a share s at the distance w sqrt(-2 ln s)
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.core.files import atomic_path
+from nacre.core.jit import clock
 from nacre.families.contract import Diffracting, Pixels
 from nacre.formats.layouts import write_pixel_field
 from nacre.light import delta_e_2000, lab_to_xyz, smooth_weights, white_xyz, xyz_to_lab
@@ -190,7 +190,7 @@ def design_hologram(
         channels.append(make_channel(task, number))
         if progress is not None:
             said = f"picture {number + 1} of {len(task.targets)}"
-            progress(DesignProgress(np.inf, time.monotonic() - begun, np.inf, description=said))
+            progress(DesignProgress(np.inf, clock() - begun, np.inf, description=said))
     _check_apart(task, channels)
     turns, periods = dot_maps(task, channels)
     claim(folder)
@@ -229,7 +229,7 @@ def design_hologram(
         f"{worst.distance:.2f} of the picture farther off"
     )
     summary: dict[str, Any] = {
-        "status": status, "message": message, "seconds": round(time.monotonic() - begun, 3),
+        "status": status, "message": message, "seconds": round(clock() - begun, 3),
         "solutions": [{"recipe": str(path), "worst": solution.worst.scaled, "changes": changes} | facts],
         "light": task.spec.light.model_dump(), "target": task.fingerprint, "nacre": __version__,
     }  # fmt: skip

@@ -8,7 +8,6 @@ survivors converge on the final evaluation wavelengths, with Jacobians on the fe
 from __future__ import annotations
 
 import itertools
-import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.core.jit import clock
 from nacre.light import lamp_lines_nm, with_lamp_lines
 from nacre.optimise.measurement import evaluation_wavelengths
 from nacre.optimise.merit import MeritFunction
@@ -119,7 +119,7 @@ class SuccessiveHalvingSearch(Search):
     def _evaluate(self, point: Array, fidelity: Fidelity) -> Array | None:
         """Return the residuals of a point and record it; None if it cannot be computed."""
         self.charge(fidelity.cost, self._reserve_s(fidelity))
-        begun = time.monotonic()
+        begun = clock()
         try:
             spectra = self.problem.measure(
                 point, fidelity.wavelengths_nm, memory=fidelity.cache, is_rough=fidelity.is_draft
@@ -128,7 +128,7 @@ class SuccessiveHalvingSearch(Search):
             residuals = np.asarray(fidelity.merit.residuals(spectra))
         except (NacreError, ArithmeticError):
             return None
-        fidelity.seconds.append(time.monotonic() - begun)
+        fidelity.seconds.append(clock() - begun)
         if not (np.isfinite(objective) and np.isfinite(residuals).all()):
             return None
         if fidelity is self.fine and not self._has_fine:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.files import atomic_path, write_text
 from nacre.core.html import png_bytes, png_uri, render_page
-from nacre.core.jit import seconds_compiled
+from nacre.core.jit import clock
 from nacre.core.machine import available_jobs, single_threaded_blas
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Tile, assess, blur_matrix, slopes
@@ -168,9 +167,9 @@ def _evaluation_seconds(task: ReliefTask) -> float:
     heights_nm = 1e3 * spec.height_max_um * np.random.default_rng(0).random((spec.features, spec.features))
     tile = Tile(heights_nm, 1e3 * spec.feature_um, 1e3 * spec.blur_um)
     relief = Relief(tile, spec.coherence.build(), spec.coating.build(task.context), spec.chosen_prefactor)
-    start, compiled = time.monotonic(), seconds_compiled()
+    start = clock()
     relief.values_at(*aspecular_pairs(geometries_of(task.targets)), relief.wavelengths_nm)
-    return time.monotonic() - start - (seconds_compiled() - compiled)
+    return clock() - start
 
 
 def _evaluate(task: ReliefTask, recipe: Path, changes: Changes, losses: Losses) -> tuple[Solution, dict[str, Any]]:

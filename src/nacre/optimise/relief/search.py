@@ -15,7 +15,6 @@ from __future__ import annotations
 import base64
 import logging
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
@@ -26,6 +25,7 @@ from scipy.optimize import minimize
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
+from nacre.core.jit import clock
 from nacre.core.machine import single_threaded_blas
 from nacre.families.relief.material import Relief
 from nacre.families.relief.structures import Blocks, Lines, blocks_of, lines_of
@@ -212,7 +212,7 @@ class ReliefSearch(Search):
     def _search(self, known: Sequence[Mapping[str, Any]]) -> None:
         self._stop.clear()
         limit = self.budget.seconds * (1.0 if self.coating is None else SCALAR_SHARE)
-        begun = time.monotonic()
+        begun = clock()
         self._end_time = begun + limit * (1.0 - LEVELS_SHARE if self.problem.levels else 1.0)
         self.report(is_forced=True)
         with single_threaded_blas():
@@ -474,7 +474,7 @@ def refine(
     Raises:
         NacreError: the heights cannot be solved.
     """
-    start = time.monotonic()
+    start = clock()
     values, groups = np.unique(heights_nm, return_inverse=True)
     groups = groups.reshape(heights_nm.shape)
     top = problem.height_max_nm
@@ -516,7 +516,7 @@ def refine(
     except KeyboardInterrupt:
         is_interrupted = True
     last = exact_losses(rgb, problem.target, problem.intensity_scale)
-    return Refinement(values[groups], first, last, count, time.monotonic() - start, is_interrupted)
+    return Refinement(values[groups], first, last, count, clock() - start, is_interrupted)
 
 
 def vector_rgb(problem: Problem, heights_nm: Array, coating: OpticalConstant) -> Array:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
+from nacre.core.jit import clock
 from nacre.core.machine import available_jobs
 from nacre.light import delta_e_2000_components
 from nacre.matter.stack.thickness_gradient import StackTables, scratch, spectra_and_gradients, stack_tables
@@ -215,7 +215,6 @@ class GeneticOptions:
         margin: of the tolerance, by which ranges are narrowed.
         search_share, robust_search_share: of the budget before the refinement; with manufacturing tolerances.
         ladder_share: of the search, for fewer layers than allowed if few are preferred.
-        compile_share: of the time limit that remains if kernels are compiled first.
         stall_generations, min_gain: generations without that relative gain end an island.
         merge_every: every such island is populated by the best of all.
         finalists, final_steps: stacks refined on all wavelengths, and steps for each.
@@ -235,7 +234,6 @@ class GeneticOptions:
     search_share: float = 0.95
     robust_search_share: float = 0.9
     ladder_share: float = 0.5
-    compile_share: float = 0.5
     stall_generations: int = 30
     min_gain: float = 0.02
     merge_every: int = 3
@@ -418,7 +416,7 @@ class Engine:
         )
 
     def settle(self, one: Stack, end_time: float) -> Stack:
-        """Change the thicknesses by random steps that increase the yield, until a time of `time.monotonic`.
+        """Change the thicknesses by random steps that increase the yield, until a time of `core.jit.clock`.
 
         The search ranks by a linear estimate of the yield; here each step is evaluated by samples.
         """
@@ -427,7 +425,7 @@ class Engine:
         low, high = (bound[:n] for bound in self.bounds(one))
         size, smallest = self.options.settling_size
         for _ in range(self.options.settling_steps):
-            if not 0.0 < share < 1.0 - self.options.stop_failure or time.monotonic() > end_time:
+            if not 0.0 < share < 1.0 - self.options.stop_failure or clock() > end_time:
                 break
             d = best.d.copy()
             d[:n] = np.clip(d[:n] * np.exp(size * rng.normal(size=n)), low, high)
@@ -512,9 +510,7 @@ def _explore(engine: Engine, budget: Budget, seed: int, on_progress: Any, stop: 
     end, target = (options.stop_failure, 0.0) if is_robust else (STOP_TOL, 0.9 * STOP_TOL)
     island, islands, generation = _Island(engine.slots, options), 1, 0
     population, size = island.population()
-    # compiles the kernels; the time limit leaves a share for the search all the same
-    engine.evolve(engine.space, population, size, 0, target, 0, 0, outs[0])
-    budget.start_time = max(budget.start_time, time.monotonic() - (1.0 - options.compile_share) * budget.seconds)
+    engine.evolve(engine.space, population, size, 0, target, 0, 0, outs[0])  # compiles the kernels
     # if few layers are preferred, the first island has one layer, the next two, and so on
     is_ladder = problem.prefer_few_layers and problem.slots is None
     space = _shortened(engine.space, 1) if is_ladder else engine.space
