@@ -7,6 +7,7 @@ from .colour_spaces import delta_e_2000_components as delta_e_2000_components
 from .colour_spaces import delta_e_cmc as delta_e_cmc
 from .colour_spaces import delta_e_din99o as delta_e_din99o
 from .colour_spaces import delta_e_din6175 as delta_e_din6175
+from .colour_spaces import hex_to_srgb as hex_to_srgb
 from .colour_spaces import lab_to_din99o as lab_to_din99o
 from .colour_spaces import lab_to_lch as lab_to_lch
 from .colour_spaces import lab_to_xyz as lab_to_xyz

@@ -133,6 +133,19 @@ def srgb_to_hex(rgb: ArrayLike) -> str:
     return f"#{red:02x}{green:02x}{blue:02x}"
 
 
+def hex_to_srgb(text: str) -> list[float]:
+    """Return red, green and blue of "#rrggbb" or "#rgb" as encoded sRGB in [0, 1]; the sign is optional.
+
+    Raises:
+        ValueError: the text has another form.
+    """
+    digits = text.strip().lstrip("#")
+    digits = "".join(2 * digit for digit in digits) if len(digits) == 3 else digits
+    if len(digits) != 6:
+        raise ValueError(text)
+    return [int(digits[at : at + 2], 16) / 255.0 for at in (0, 2, 4)]
+
+
 DIN_6175 = "din6175-2"
 LEAST_ASPECULAR_DEG = 10.0  # of DIN 6175-2, whose weights grow as 1 / angle
 UNVERIFIED = "its coefficients are not verified against a public text"

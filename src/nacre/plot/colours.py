@@ -55,10 +55,7 @@ def colour_map_figure(
         figure = style.new_figure(style.COLUMN_IN, 2.75)
         axes = figure.add_subplot()
         axes.pcolormesh(style.cell_edges(x), style.cell_edges(y), colours, rasterized=True)
-        axes.set_xlim(x[0], x[-1])
-        axes.set_ylim(y[0], y[-1])
-        axes.set_xlabel(x_label)
-        axes.set_ylabel(y_label)
+        axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]), xlabel=x_label, ylabel=y_label)
         for side in ("top", "right"):
             axes.spines[side].set_visible(True)
         style.panel_title(axes, title)

@@ -35,15 +35,13 @@ def measurement_figure(measurements: Sequence[Measurement]) -> Figure:
                 extent = (0.0, heights.shape[1] * x, heights.shape[0] * y, 0.0)
                 image = axes.imshow(heights, extent=extent, cmap="viridis")
                 figure.colorbar(image, ax=axes, label="height (um)")
-                axes.set_xlabel("x (um)")
-                axes.set_ylabel("y (um)")
+                axes.set(xlabel="x (um)", ylabel="y (um)")
                 return figure
         scans = [scan for measurement in measurements for scan in _scans(measurement)]
         if scans:
             for label, x, y in scans[:MAX_SCANS]:
                 axes.semilogy(x, y, linewidth=0.8, marker=".", markersize=2, label=label)
-            axes.set_xlabel("exit angle (degrees, mirror side positive)")
-            axes.set_ylabel("BSDF (1/sr)")
+            axes.set(xlabel="exit angle (degrees, mirror side positive)", ylabel="BSDF (1/sr)")
             axes.legend(fontsize=6)
             return figure
         curves = [curve for measurement in measurements for curve in _curves(measurement)]
@@ -128,10 +126,8 @@ def fit_panels_figure(panels: Sequence[FitPanel], title: str) -> Figure:
         heights = [3.0, 1.0] * blocks
         axes = figure.subplots(2 * blocks, columns, squeeze=False, gridspec_kw={"height_ratios": heights})
         for place in range(blocks * columns):
-            upper, lower = (
-                axes[2 * (place // columns), place % columns],
-                axes[2 * (place // columns) + 1, place % columns],
-            )
+            first, column = 2 * (place // columns), place % columns
+            upper, lower = axes[first : first + 2, column]
             if place >= len(panels):
                 upper.set_axis_off()
                 lower.set_axis_off()

@@ -327,9 +327,7 @@ def run_sheet_figure(curves: Sequence[tuple[str, Array, Array, Array, Array]], y
             total += float(grown[-1])
             axes.axvline(total, color=style.INK, linewidth=0.3)
             named.add(name)
-        axes.set_xlim(0.0, total)
-        axes.set_xlabel("Deposited thickness (nm)")
-        axes.set_ylabel(y_label)
+        axes.set(xlim=(0.0, total), xlabel="Deposited thickness (nm)", ylabel=y_label)
         axes.set_title(title, loc="left")
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure

@@ -92,8 +92,7 @@ def _frame(axes: Axes, nm: Array, highest: float, last: bool) -> None:
 def _swatches(axes: Axes, inks: list[Any], colours: Array, angles_deg: Array, step_label: str = "") -> None:
     """Draw the key: a stroke in the curve's ink, its colour as a tile, its angle."""
     rows = max(len(colours), 5)
-    axes.set_xlim(0, 1)
-    axes.set_ylim(rows, -0.1)
+    axes.set(xlim=(0, 1), ylim=(rows, -0.1))
     for i, (ink, colour, angle) in enumerate(zip(inks, colours, angles_deg)):
         axes.plot([0.0, 0.16], [i + 0.45, i + 0.45], color=ink, solid_capstyle="butt", linewidth=1.6)
         axes.add_patch(Rectangle((0.24, i + 0.05), 0.3, 0.8, facecolor=colour, edgecolor=style.INK, linewidth=0.4))
@@ -146,10 +145,7 @@ def ribbon_figure(
             suffix = f" {name.split('_')[1][0].upper()}" if len(parts) > 1 else ""
             below.plot(angles, lch[:, 0], line_style, color=style.LINES[6], label=f"L*{suffix}")
             below.plot(angles, lch[:, 1], line_style, color=style.LINES[0], label=f"C*{suffix}")
-        below.set_xlim(angles[0], angles[-1])
-        below.set_ylim(bottom=0)
-        below.set_xlabel(step_label)
-        below.set_ylabel("L*, C*")
+        below.set(xlim=(angles[0], angles[-1]), ylim=(0, None), xlabel=step_label, ylabel="L*, C*")
         below.grid(axis="y")
         below.legend(
             ncols=2 * len(parts), loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handlelength=1.6,
@@ -159,16 +155,13 @@ def ribbon_figure(
     return figure
 
 
-def index_figure(
-    wavelengths_nm: ArrayLike, n_complex: ArrayLike, title: str = "", source: str = "", splice_nm: float | None = None
-) -> Figure:
+def index_figure(wavelengths_nm: ArrayLike, n_complex: ArrayLike, title: str = "", source: str = "") -> Figure:
     """Draw the optical constants n and k over wavelength.
 
     Args:
         wavelengths_nm: `[wavelength]`.
         n_complex: `[wavelength]`, n + ik; k has a second axis unless it is zero.
         title: the material; source: reference, in small print.
-        splice_nm: end of the published data, drawn as a thin line.
     """
     nm, values = np.asarray(wavelengths_nm, dtype=float), np.asarray(n_complex, dtype=complex)
     with style.house_style():
@@ -176,8 +169,7 @@ def index_figure(
         axes = figure.add_subplot()
         axes.plot(nm, values.real, color=style.LINES[0])
         axes.set_ylabel("$n$", color=style.LINES[0])
-        axes.set_xlabel("Wavelength (nm)")
-        axes.set_xlim(nm[0], nm[-1])
+        axes.set(xlabel="Wavelength (nm)", xlim=(nm[0], nm[-1]))
         _room(axes, values.real)
         axes.grid(axis="y")
         if values.imag.max() > 0.0:
@@ -191,8 +183,6 @@ def index_figure(
             else:
                 _room(other, values.imag)
                 other.set_ylim(bottom=0.0)
-        if splice_nm is not None and nm[0] < splice_nm < nm[-1]:
-            axes.axvline(splice_nm, color=style.INK, linewidth=0.5, linestyle=":")
         style.spectral_strip(axes, nm[0], nm[-1])
         style.panel_title(axes, title)
         style.small_print(figure, "\n".join(textwrap.wrap(source, 84)[:3]))
@@ -227,10 +217,9 @@ def ellipsometry_figure(spectrum: Spectrum, title: str = "") -> Figure:
         upper, lower = (figure.add_subplot(2, 1, row) for row in (1, 2))
         _curves(upper, spectrum, psi, has_key=True)
         _curves(lower, spectrum, delta)
-        upper.set_ylabel("Psi (degrees)")
-        lower.set_ylabel("Delta (degrees)")
+        upper.set(ylabel="Psi (degrees)")
+        lower.set(xlabel="Wavelength (nm)", ylabel="Delta (degrees)")
         upper.tick_params(labelbottom=False)
-        lower.set_xlabel("Wavelength (nm)")
         style.panel_title(upper, f"Ellipsometry{', ' + title if title else ''}")
         style.small_print(figure, CONVENTION)
     return figure
@@ -309,8 +298,7 @@ def michel_levy_figure(spectrum: Spectrum, title: str = "") -> Figure:
         figure = style.new_figure(style.SHEET_IN, 3.4)
         upper, lower = figure.subplots(2, 1, height_ratios=(1, 7))
         upper.imshow(light.spectrum_to_srgb(own, lam)[None, None], aspect="auto")
-        upper.set_xticks([])
-        upper.set_yticks([])
+        upper.set(xticks=[], yticks=[])
         at = "" if found is None else f", retardance {found:.0f} nm"
         style.panel_title(upper, f"Between crossed polarisers{': ' + title if title else ''}{at}")
         lower.imshow(colours[None], extent=(0.0, last, 0.0, THICKEST_UM), aspect="auto", origin="lower")
@@ -324,10 +312,7 @@ def michel_levy_figure(spectrum: Spectrum, title: str = "") -> Figure:
             )
         if found is not None:
             lower.axvline(found, color="black", linewidth=1.2, linestyle="--")
-        lower.set_xlim(0.0, last)
-        lower.set_ylim(0.0, THICKEST_UM)
-        lower.set_xlabel("Retardance (nm)")
-        lower.set_ylabel("Thickness (um)")
+        lower.set(xlim=(0.0, last), ylim=(0.0, THICKEST_UM), xlabel="Retardance (nm)", ylabel="Thickness (um)")
         style.small_print(figure, "Colours under D65, of equal retardance at all wavelengths; lines: birefringence")
     return figure
 

@@ -13,7 +13,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from nacre.core.errors import NacreError
-from nacre.light import lch_to_lab, xyy_to_xyz
+from nacre.light import hex_to_srgb, lch_to_lab, xyy_to_xyz
 from nacre.readers.colour_tables import SRGB, colours, illuminant_in, observer_in, spectra_scale
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead
@@ -67,7 +67,12 @@ def read_palette(path: Path, options: ReadOptions) -> list[Measurement]:
         if not all(matches):
             bad = next(line for line, match in zip(lines, matches, strict=True) if not match)
             raise NacreError(f'{path}: "{bad.strip()[:40]}" is no hexadecimal colour')
-        found = [(_rgb(match["hex"]), (match["name"] or match["after"] or "").strip()) for match in matches if match]
+        # Paint.NET writes AARRGGBB
+        found = [
+            (hex_to_srgb(match["hex"][-6:]), (match["name"] or match["after"] or "").strip())
+            for match in matches
+            if match
+        ]
         format_id = "hex"
     names = [own or str(place) for place, (_, own) in enumerate(found, start=1)]
     srgb = [rgb for rgb, _ in found]
@@ -108,12 +113,7 @@ def _hex_entry(path: Path, attributes: dict[str, str]) -> tuple[list[float], str
     value = attributes.get("color", "").lstrip("#")
     if not re.fullmatch("[0-9A-Fa-f]{6}", value):
         raise NacreError(f'{path}: draw:color = "{value}" is no hexadecimal colour')
-    return _rgb(value), unescape(attributes.get("name", ""))
-
-
-def _rgb(value: str) -> list[float]:
-    """Return red, green, blue of RRGGBB, or of AARRGGBB as Paint.NET writes it."""
-    return [int(value[-6:][place : place + 2], 16) / 255.0 for place in (0, 2, 4)]
+    return hex_to_srgb(value), unescape(attributes.get("name", ""))
 
 
 # Adobe swatches: `.ase` (Swatch Exchange) and `.aco` (Photoshop).

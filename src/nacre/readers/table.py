@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from nacre.core.errors import NacreError
 from nacre.core.files import read_text
+from nacre.light import hex_to_srgb
 from nacre.readers.colour_tables import check_scale
 from nacre.readers.columns import (
     Column,
@@ -442,12 +443,8 @@ def srgb_of_hex(path: Path, cell: str) -> list[float]:
     Raises:
         NacreError: it has another form.
     """
-    digits = cell.strip().lstrip("#")
-    digits = "".join(2 * c for c in digits) if len(digits) == 3 else digits
     try:
-        if len(digits) != 6:
-            raise ValueError
-        return [int(digits[i : i + 2], 16) / 255.0 for i in (0, 2, 4)]
+        return hex_to_srgb(cell)
     except ValueError:
         raise NacreError(f'{path}: "{cell[:20]}" is no colour such as #4a90d0') from None
 

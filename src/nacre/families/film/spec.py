@@ -349,19 +349,8 @@ class RidgesSpec(RecipeModel):
 
     def build(self, context: RecipeContext) -> Ridges:
         """Return the ridges."""
-        return Ridges(
-            pitch_nm=self.pitch_nm,
-            width_nm=self.width_nm,
-            height_deviation_nm=self.height_deviation_nm,
-            count=self.count,
-            along_deviation_deg=self.along_deviation_deg,
-            fill=self.fill,
-            rotation=angle_texture(self.rotation_deg, context, "ridges.rotation_deg"),
-            optics=self.optics,
-            width_deviation_nm=self.width_deviation_nm,
-            shift_deviation_nm=self.shift_deviation_nm,
-            draws=self.draws,
-        )
+        rotation = angle_texture(self.rotation_deg, context, "ridges.rotation_deg")
+        return Ridges(rotation=rotation, **self.model_dump(exclude={"rotation_deg"}))
 
 
 class BaseSpec(RecipeModel):

@@ -6,6 +6,7 @@ half-vector sums (u, v) = (w_i + w_o)_xy; u runs along array axis 0. Shapes and 
 
 from __future__ import annotations
 
+import contextlib
 import math
 import warnings
 from collections.abc import Mapping
@@ -23,6 +24,7 @@ from nacre.core.files import plain, reading, why_unreadable
 from nacre.families.relief.diffraction_orders import CoherenceSpec, coating_reflectance, fresnel_reflectance
 from nacre.families.relief.plane_cut import CutGeometry
 from nacre.formats.layouts import find_calibration
+from nacre.light import hex_to_srgb, spectrum_to_rgb_linear
 from nacre.matter.indices.spec import IndexSpec
 from nacre.optimise.relief.merit import GAMMA, ColourWeights, Problem, View, default_weights, published_weights
 from nacre.readers.curves import FileSpec, recipe_spectrum
@@ -391,8 +393,6 @@ def _incidence(theta_deg: float, phi_deg: float, context: RecipeContext) -> Arra
 
 def _spectrum_colour(given: FileSpec, context: RecipeContext) -> Array:
     """Return a reflectance spectrum's display-referred colour under D65."""
-    from nacre.light import spectrum_to_rgb_linear
-
     key = "target.colour.spectrum"
     table, name = recipe_spectrum(context, key, given, ("reflectance",)), given.file
     if len(table) < 2 or (np.diff(table[:, 0]) <= 0).any():
@@ -560,13 +560,9 @@ def parse_colour(name: str, source: str) -> Array:
     """
     if name in PUBLISHED_COLOURS:
         return np.array(PUBLISHED_COLOURS[name])
-    digits = name.removeprefix("#")
-    if name.startswith("#") and len(digits) in (3, 6):
-        step = len(digits) // 3
-        try:
-            return np.array([int(digits[k : k + step] * (2 // step), 16) / 255.0 for k in range(0, len(digits), step)])
-        except ValueError:
-            pass
+    if name.startswith("#"):
+        with contextlib.suppress(ValueError):
+            return np.array(hex_to_srgb(name))
     allowed = [*PUBLISHED_COLOURS, *IRIDESCENT]
     raise RecipeError(
         f'{source}: target.colour = "{name}" is not known.{did_you_mean(name, allowed)} '

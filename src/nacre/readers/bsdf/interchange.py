@@ -526,9 +526,7 @@ def hemispherical_share(theta_deg: Array, phi_deg: Array, f: Array) -> float:
     return float(trapezoid(power, np.radians(phi_deg))) * (2.0 if is_half else 1.0)
 
 
-def _measurement(
-    path: Path, form: str, rotation: float, incidence: float, block: tuple[Array, Array, Array]
-) -> tuple[Array, Array]:
+def _pairs(rotation: float, incidence: float, block: tuple[Array, Array, Array]) -> tuple[Array, Array]:
     """Return direction pairs `[pair, 4]` (mirror at 180 degrees) and values `[pair]`."""
     theta, phi, values = block
     t, p = np.meshgrid(theta, phi, indexing="ij")
@@ -554,7 +552,7 @@ def _measured(path: Path, lines: list[str]) -> list[Measurement]:
                 percent = float(next(words))
                 theta, phi, table = _blocks(words)
                 scaled = _scaled(theta, phi, table, percent, is_bsdf)
-                columns.append(_measurement(path, "", 0.0, float(at), (theta, phi, scaled)))
+                columns.append(_pairs(0.0, float(at), (theta, phi, scaled)))
             if any(not np.array_equal(c[0], columns[0][0]) for c in columns):
                 raise ValueError("angles differ between wavelengths")
             angles.append(columns[0][0])
@@ -592,7 +590,7 @@ def _anisotropic(path: Path, lines: list[str]) -> list[Measurement]:
         for turn, incidences in turns:
             for at in incidences:
                 block = _blocks(words)
-                pair, value = _measurement(path, "", turn, float(at), block)
+                pair, value = _pairs(turn, float(at), block)
                 angles.append(pair)
                 values.append(value)
         value = np.concatenate(values)
