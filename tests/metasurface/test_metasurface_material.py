@@ -387,7 +387,7 @@ def test_coverage_beyond_the_tested_warns():
 def test_layout_keeps_every_particle_and_repeats_by_reference(tmp_path, ending):
     xy = np.random.default_rng(1).uniform(0, 20, (500, 2))
     path = tmp_path / f"pattern.{ending}"
-    assert write_layout(path, xy, 0.09, box_um=20.0, field_um=10_000.0) == 500 * 500**2
+    assert write_layout(path, xy, 0.09, box_um=20.0, periods=(500, 500)) == 500 * 500**2
     back, radius = read_layout(path)
     order = lambda p: p[np.lexsort(np.round(p, 3).T)]
     assert np.abs(order(back) - order(np.round(xy, 3))).max() < 1e-3 and abs(radius - 0.09) < 1.5e-3

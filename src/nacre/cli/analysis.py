@@ -410,7 +410,7 @@ def ellipsometry(
     Horiba (Is = S, Ic = C). The recipe's [instrument] table averages over bandwidth, cone and thickness spread.
     """
     from nacre.analysis.ellipsometry import compute_ellipsometry, ellipsometry_document
-    from nacre.core.files import check_output, write_text
+    from nacre.core.files import check_output
     from nacre.material.material import recipe_provenance
 
     if output:
@@ -418,18 +418,9 @@ def ellipsometry(
     angles, grid = common.angles(angles_deg), common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
     found = compute_ellipsometry(material, angles, grid, azimuth_deg)
-    if output and output.endswith(".csv") or not output and not as_json:
-        text = _csv(found.wavelengths_nm, found.angles_deg, found.columns())
-    document = None
-    if as_json or output and output.endswith(".json"):
-        document = json.dumps({**ellipsometry_document(found), "provenance": recipe_provenance(material)})
-    if output:
-        write_text(output, text if output.endswith(".csv") else f"{document}\n")
-        common.note(output)
-    if as_json:
-        click.echo(document)
-    elif not output:
-        click.echo(text, nl=False)
+    text = _csv(found.wavelengths_nm, found.angles_deg, found.columns())
+    document = {**ellipsometry_document(found), "provenance": recipe_provenance(material)}
+    common.answer(document, text, output, as_json)
 
 
 def _csv(wavelengths_nm: np.ndarray, angles_deg: np.ndarray, columns: dict[str, np.ndarray]) -> str:

@@ -6,12 +6,13 @@ import contextlib
 import errno
 import functools
 import io
+import json
 import math
 import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import click
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.errors import NacreError
-from nacre.core.files import stored
+from nacre.core.files import stored, write_text
 
 F = TypeVar("F", bound=Callable[..., Any])
 MAX_LIST = 100_000
@@ -231,6 +232,17 @@ def progress_bar(description: str) -> Any:
         TextColumn(description), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
         TextColumn("{task.fields[info]}"), console=console, disable=not console.is_terminal,
     )  # fmt: skip
+
+
+def answer(document: Mapping[str, Any], text_csv: str, output: str | None, as_json: bool) -> None:
+    """Write a table to a file, as CSV or JSON by its suffix, and print it as JSON, or as CSV without a file."""
+    if output:
+        write_text(output, text_csv if output.endswith(".csv") else json.dumps(document) + "\n")
+        note(output)
+    if as_json:
+        click.echo(json.dumps(document))
+    elif not output:
+        click.echo(text_csv, nl=False)
 
 
 def note(message: str) -> None:

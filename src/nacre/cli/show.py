@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from nacre.cli import common
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.core.files import atomic_path, check_output, check_writable, plain, short_name, why_unreadable, write_text
+from nacre.core.files import atomic_path, check_output, check_writable, plain, short_name, why_unreadable
 from nacre.formats.bsdf_tables import EXPORTS, FOLDERS, export_remarks
 
 PLOT_KINDS = (
@@ -67,7 +66,7 @@ def spectrum(
     }
     document["provenance"] = recipe_provenance(material)
     text_csv = _csv(result.wavelengths_nm, angles, parts | _elements(result.matrices()), polarisation)
-    _answer(document, text_csv, output, as_json)
+    common.answer(document, text_csv, output, as_json)
 
 
 @click.command()
@@ -110,19 +109,7 @@ def orders(
         "provenance": recipe_provenance(material),
     }
     text_csv = _orders_csv(found, angles)
-    _answer(document, text_csv, output, as_json)
-
-
-def _answer(document: Mapping[str, Any], text_csv: str, output: str | None, as_json: bool) -> None:
-    """Write a table to a file, as CSV or JSON by its suffix, and print it as JSON, or as CSV without a file."""
-
-    if output:
-        write_text(output, text_csv if output.endswith(".csv") else json.dumps(document) + "\n")
-        common.note(output)
-    if as_json:
-        click.echo(json.dumps(document))
-    elif not output:
-        click.echo(text_csv, nl=False)
+    common.answer(document, text_csv, output, as_json)
 
 
 def _by_polarisation(efficiency: np.ndarray) -> dict[str, Any]:

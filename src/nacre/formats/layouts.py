@@ -114,7 +114,7 @@ def area(corners: Array) -> float:
     return float(0.5 * abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
 
 
-def database_unit(radii_um: tuple[float, ...], extent_um: float, square: bool, path: Path) -> float:
+def database_unit(radii_um: tuple[float, ...], extent_um: float, path: Path) -> float:
     """Return the coarsest database unit in m at which the particles have their area within `AREA_ERROR`.
 
     Raises:
@@ -122,10 +122,7 @@ def database_unit(radii_um: tuple[float, ...], extent_um: float, square: bool, p
     """
     for precision in PRECISIONS_M:
         grid = precision * 1e6
-        if square:
-            errors = [abs((max(round(r / grid), 0) * grid / r) ** 2 - 1.0) for r in radii_um]
-        else:
-            errors = [abs(area(circle(r, precision)) / (np.pi * r * r) - 1.0) for r in radii_um]
+        errors = [abs(area(circle(r, precision)) / (np.pi * r * r) - 1.0) for r in radii_um]
         if extent_um / grid > MAX_DATABASE_UNITS:
             break
         if max(errors) <= AREA_ERROR:
@@ -160,8 +157,6 @@ def write_layout(
     xy_um: Array,
     radius_um: float,
     box_um: float | None = None,
-    field_um: float | None = None,
-    square: bool = False,
     periods: tuple[int, int] | None = None,
     several: tuple[tuple[float, ...], NDArray[np.intp] | None] | None = None,
 ) -> int:
@@ -170,11 +165,9 @@ def write_layout(
     Args:
         path: ends in .gds or .oas.
         xy_um: `[point, 2]` centres within a period.
-        radius_um: circle radius; with `square` half the side.
-        box_um: period; required with `field_um` and `periods`.
-        field_um: field side, filled by repeating the period; default: one period.
-        square: squares rather than circles.
-        periods: repetitions along x and y, rather than `field_um`.
+        radius_um: circle radius.
+        box_um: period; required with `periods`.
+        periods: repetitions along x and y; default: one period.
         several: radii in um of several particle types, each with its own cell, and the type of each point.
 
     Raises:
@@ -191,24 +184,18 @@ def write_layout(
     if not radius_um > 0:
         raise NacreError(f"{path}: radius_um = {radius_um:g} is not allowed; it should be over 0")
     columns, rows = periods or (1, 1)
-    if field_um is not None or columns * rows > 1:
-        if box_um is None or not box_um > 0:
-            raise NacreError(f"{path}: a field is filled by repeating a period; give box_um")
-    if field_um is not None and box_um is not None:
-        columns = rows = max(1, round(field_um / box_um))
+    if columns * rows > 1 and (box_um is None or not box_um > 0):
+        raise NacreError(f"{path}: a field is filled by repeating a period; give box_um")
     extent = float(np.abs(xy).max()) + (max(columns, rows) - 1) * (box_um or 0.0)
     if extent > MAX_COORDINATE_UM:
         raise NacreError(f"{path}: the field reaches {extent:.4g} um; at most {MAX_COORDINATE_UM:g} um can be written")
     radii, kinds = several or ((radius_um,), None)
-    precision = database_unit(radii, extent + max(radii), square, path)
+    precision = database_unit(radii, extent + max(radii), path)
     library = gdstk.Library("nacre", unit=1e-6, precision=precision)
     particles = []
     for number, radius in enumerate(radii, start=1):
         particle = library.new_cell("PARTICLE" if number == 1 else f"PARTICLE_{number}")
-        if square:
-            particle.add(gdstk.rectangle((-radius, -radius), (radius, radius)))
-        else:
-            particle.add(gdstk.Polygon([(x, y) for x, y in circle(radius, precision)]))
+        particle.add(gdstk.Polygon([(x, y) for x, y in circle(radius, precision)]))
         particles.append(particle)
     period = library.new_cell("PERIOD")
     for (x, y), kind in zip(np.round(xy, 3), np.zeros(len(xy), dtype=np.intp) if kinds is None else kinds):

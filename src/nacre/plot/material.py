@@ -238,22 +238,18 @@ def save_material(
     save_figure(figure, path, {"figure": kind, "illuminant": illuminant, **(provenance or {})})
 
 
-def save_index(constant: Any, path: str | Path, title: str = "", wavelengths_nm: ArrayLike | None = None) -> None:
+def save_index(constant: Any, path: str | Path, title: str = "") -> None:
     """Draw n and k of an optical constant (`nacre.matter.OpticalConstant`) into a file.
 
     The range is 360-830 nm as far as tabulated, or the whole range if it lies elsewhere.
     """
     low, high = constant.range_nm
-    if wavelengths_nm is None:
-        overlaps = low < 830.0 and high > 360.0
-        wavelengths_nm = (
-            np.linspace(max(low, 360.0), min(high, 830.0), 471) if overlaps else np.linspace(low, high, 471)
-        )
-    nm = np.asarray(wavelengths_nm, dtype=float)
+    if low < 830.0 and high > 360.0:
+        low, high = max(low, 360.0), min(high, 830.0)
+    nm = np.linspace(low, high, 471)
     what = constant.title.partition(" (")[0].partition(";")[0]
-    heading = (
-        what if what.lower().startswith(constant.name.lower()) else ", ".join(t for t in (constant.name, what) if t)
-    )
+    has_name = what.lower().startswith(constant.name.lower())
+    heading = what if has_name else ", ".join(t for t in (constant.name, what) if t)
     print_ = "; ".join(text for text in (constant.source, constant.splice) if text)
     figure = index_figure(nm, constant.n_complex(nm), title or heading, print_)
     save_figure(

@@ -90,8 +90,6 @@ def incoherent_coherence(
     incoherent: Sequence[bool],
     wavelengths_nm: ArrayLike,
     theta_rad: ArrayLike,
-    *,
-    jobs: int | None = None,
 ) -> ComplexArray:
     """Return the mean of r_p r_s* over the phases of the incoherent layers, `[..., angle, wavelength]`.
 
@@ -104,15 +102,15 @@ def incoherent_coherence(
     Arguments and errors as in `incoherent_powers`.
     """
     stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad)
-    groups = _groups(stack, incoherent, jobs)
+    groups = _groups(stack, incoherent, None)
     total: ComplexArray | None = None
     passage: Array = np.ones(1)
     for group in reversed(groups):
-        r_s, r_p, t_s, t_p = run_kernel(group.down, True, False, jobs)[0]
+        r_s, r_p, t_s, t_p = run_kernel(group.down, True, False, None)[0]
         found = r_p * r_s.conj()
         if total is not None:
             assert group.up is not None
-            up_s, up_p, back_s, back_p = run_kernel(group.up, True, False, jobs)[0]
+            up_s, up_p, back_s, back_p = run_kernel(group.up, True, False, None)[0]
             below = passage**2 * total
             found = found + t_p * back_p * (t_s * back_s).conj() * below / (1.0 - up_p * up_s.conj() * below)
         total, passage = found, group.passage
@@ -125,9 +123,8 @@ def incoherent_absorption(
     thicknesses_nm: ArrayLike,
     incoherent: Sequence[bool],
     wavelengths_nm: ArrayLike,
-    theta_rad: ArrayLike | None = None,
+    theta_rad: ArrayLike,
     *,
-    cos_i: ArrayLike | None = None,
     jobs: int | None = None,
 ) -> Array:
     """Return each layer's absorbed power over incident power, `[s or p, layer, ..., angle, wavelength]`.
@@ -137,7 +134,7 @@ def incoherent_absorption(
     """
     from nacre.matter.stack.field import absorbed_power
 
-    stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
+    stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad)
     groups = _groups(stack, incoherent, jobs)
     totals = _reflected(groups)
     absorbed = np.zeros((2, stack.n.shape[1] - 2, *stack.shape))
