@@ -27,7 +27,7 @@ from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
 from nacre.matter.stack.solve import powers
 from nacre.readers.curves import FileSpec, recipe_spectrum
-from nacre.recipe.model import RecipeContext, RecipeModel, show_value
+from nacre.recipe.model import RecipeContext, RecipeModel, UnitNumber, show_value
 
 
 class Strata(abc.ABC):
@@ -248,9 +248,6 @@ def is_strata(lobe: Lobe) -> bool:
     return lobe.kind in ("layered", "platelet-layer") or (inner is not None and is_strata(inner))
 
 
-Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
-
-
 OF_OTHER_FAMILY: Mapping[str, Any] = {
     "type": "object",
     "required": ["family"],
@@ -264,7 +261,8 @@ def _widths(value: Any) -> Any:
 
 
 Widths = Annotated[
-    Share | Annotated[tuple[Share, ...], pydantic.Field(min_length=1, max_length=2)], pydantic.BeforeValidator(_widths)
+    UnitNumber | Annotated[tuple[UnitNumber, ...], pydantic.Field(min_length=1, max_length=2)],
+    pydantic.BeforeValidator(_widths),
 ]
 
 
@@ -285,7 +283,7 @@ class SubstrateSpec(RecipeModel):
 
     model_config = pydantic.ConfigDict(json_schema_extra=_albedo_may_name_a_recipe)
 
-    albedo: Share | AlbedoSpec | None = pydantic.Field(
+    albedo: UnitNumber | AlbedoSpec | None = pydantic.Field(
         default=None,
         description="albedo of a diffuse base, or a file with the albedo over wavelength",
         examples=[0.05, {"file": "albedo.csv"}],

@@ -14,10 +14,9 @@ from nacre.measure.texture import QUANTITY_NAMES, Instrument
 from nacre.optimise.relief.target import TargetTable
 from nacre.readers.curves import FileSpec
 from nacre.recipe.keys import ByPath
-from nacre.recipe.model import RecipeModel
+from nacre.recipe.model import NotNegative, Positive, RecipeModel
 from nacre.recipe.path_tables import GeometrySpec, ParameterSpec, ToleranceSpec
 
-Positive = Annotated[float, pydantic.Field(gt=0.0)]
 Triple = tuple[float, float, float]
 InstrumentKey = Annotated[
     str | Instrument,
@@ -315,7 +314,7 @@ class ResinSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{cost_per_kg = 4, density_kg_l = 1.1}",)
 
-    cost_per_kg: Annotated[float, pydantic.Field(ge=0.0)] = pydantic.Field(default=0.0, description="price of 1 kg")
+    cost_per_kg: NotNegative = pydantic.Field(default=0.0, description="price of 1 kg")
     density_kg_l: Positive = pydantic.Field(default=1.1, description="density in kg/l")
 
 
@@ -326,9 +325,7 @@ class IngredientSpec(RecipeModel):
     volume_fraction: tuple[Fraction, Fraction] = pydantic.Field(
         description="bounds of the volume fraction in the dry stratum", examples=[[0, 0.03]]
     )
-    cost_per_kg: Annotated[float, pydantic.Field(ge=0.0)] = pydantic.Field(
-        default=0.0, description="price of 1 kg", examples=[45]
-    )
+    cost_per_kg: NotNegative = pydantic.Field(default=0.0, description="price of 1 kg", examples=[45])
     density_kg_l: Positive = pydantic.Field(default=1.0, description="density in kg/l", examples=[3.1])
 
     @pydantic.model_validator(mode="after")

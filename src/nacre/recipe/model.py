@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import pydantic
 from pydantic_core import PydanticCustomError, core_schema
@@ -27,6 +27,9 @@ from nacre.core.files import real
 from nacre.recipe.fingerprint import file_digest
 from nacre.recipe.paths import NUMBERS, TEXTURE_KEYS
 
+Positive = Annotated[float, pydantic.Field(gt=0.0)]
+NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
+UnitNumber = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
 LENGTH_UNITS_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
 _OTHER_LENGTHS_NM = {"å": 0.1, "angstrom": 0.1, "cm": 1e7, "m": 1e9}
 _DEGREES = ("deg", "degree", "degrees", "°")

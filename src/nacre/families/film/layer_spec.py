@@ -19,7 +19,7 @@ from nacre.matter.indices.laws import Mixture
 from nacre.matter.indices.spec import IndexSpec
 from nacre.matter.stack.polarised import SPREAD_REACH, Helix
 from nacre.matter.stack.solve import powers
-from nacre.recipe.model import RecipeContext, RecipeModel, show_value
+from nacre.recipe.model import NotNegative, RecipeContext, RecipeModel, show_value
 
 SLICES_A_TURN = 64  # the fewest of a helix; see `nacre.matter.stack.anisotropic`
 MAX_LAYERS = 1000
@@ -74,7 +74,7 @@ class LayerSpec(RecipeModel):
     pitch_lower_nm: Pitch | None = Field(
         default=None, description="pitch at the lower face, with a linear course between", examples=[420]
     )
-    pitch_deviation_nm: Annotated[float, Field(ge=0.0)] = Field(
+    pitch_deviation_nm: NotNegative = Field(
         default=0.0,
         description="standard deviation of the pitch among domains, whose reflected powers are averaged",
         examples=[12],

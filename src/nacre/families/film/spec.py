@@ -40,7 +40,7 @@ from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.indices.spec import IndexSpec, ambient_in
 from nacre.matter.stack import solve as solver
 from nacre.matter.stack.incoherent import incoherent_powers
-from nacre.recipe.model import RecipeContext, RecipeModel, show_value
+from nacre.recipe.model import RecipeContext, RecipeModel, UnitNumber, show_value
 
 MAP_NM = 1000.0  # thickness range of a clear layer's colours before they fade
 OPAQUE_DEPTHS = 3.0  # penetration depths, below which less than e^-6 is reflected
@@ -213,7 +213,6 @@ def _width_form(value: Any) -> str:
     return "Pair" if isinstance(value, list | tuple) else texture_or_number(value)
 
 
-UnitNumber = Annotated[float, Field(ge=0.0, le=1.0)]
 Exponent = Annotated[float, Field(ge=0.0, le=2e6)]
 Depth = Annotated[float, Field(ge=0.0, le=1000.0)]
 Width = Annotated[
@@ -314,7 +313,7 @@ class RidgesSpec(RecipeModel):
     along_deviation_deg: Annotated[float, Field(ge=0.1, le=30.0)] = Field(
         default=4.0, description="standard deviation of the fan of light along the ridges"
     )
-    fill: Annotated[float, Field(ge=0.0, le=1.0)] = Field(default=1.0, description="area fraction of the ridges")
+    fill: UnitNumber = Field(default=1.0, description="area fraction of the ridges")
     rotation_deg: NumberOrTexture = Field(
         default=0.0, description="rotation of the ridges in the surface", examples=[45, {"formula": "360*u"}]
     )
@@ -358,9 +357,7 @@ class BaseSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{albedo = 0.05}",)
 
-    albedo: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
-        default=0.0, description="albedo of the diffuse base", examples=[0.05]
-    )
+    albedo: UnitNumber = Field(default=0.0, description="albedo of the diffuse base", examples=[0.05])
 
 
 class WavelengthsSpec(RecipeModel):

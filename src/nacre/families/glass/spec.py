@@ -17,7 +17,7 @@ from nacre.families.glass.material import FastGlass, Glass, Layer
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
 from nacre.readers.curves import Q_PER_UM, STRUCTURE, FileSpec, recipe_curve
-from nacre.recipe.model import RecipeContext, RecipeModel, show_value
+from nacre.recipe.model import NotNegative, Positive, RecipeContext, RecipeModel, show_value
 
 MAX_PACKING = 0.64  # random packing of equal spheres
 MIN_LAYERS = 3  # diameters in the thickness of a continuum
@@ -28,8 +28,7 @@ MAX_THICKNESS_NM = 1e8
 MAX_STRATA = 8
 OF_ONE_LAYER = ("thickness_nm", "matrix", "spheres", "absorber", "balls", "surface", "model")
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
+NotNegative = NotNegative
 
 
 class ShellSpec(RecipeModel):
@@ -55,7 +54,7 @@ class SpheresSpec(RecipeModel):
         description="standard deviation of the outer radius, at most 0.2 of it; core and shell scale together",
         examples=[6],
     )
-    volume_fraction: Annotated[float, Field(gt=0.0)] = Field(
+    volume_fraction: Positive = Field(
         json_schema_extra={"maximum": MAX_PACKING},
         description="volume fraction of whole spheres, at most 0.64, the densest random packing",
         examples=[0.55],
@@ -126,7 +125,7 @@ class BallsSpec(RecipeModel):
         description="radius of a ball, usually written with _um; at least three sphere diameters across",
         examples=[5000],
     )
-    volume_fraction: Annotated[float, Field(gt=0.0)] = Field(
+    volume_fraction: Positive = Field(
         json_schema_extra={"maximum": MAX_PACKING},
         description="volume fraction of the balls, at most 0.64, the densest random packing",
         examples=[0.3],

@@ -43,11 +43,10 @@ from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec, ambient_in
 from nacre.readers.curves import FileSpec
 from nacre.readers.hdf5 import MAX_BYTES
-from nacre.recipe.model import RecipeContext, RecipeModel, show_value
+from nacre.recipe.model import Positive, RecipeContext, RecipeModel, UnitNumber, show_value
 
 LEAST_COVERAGE = 1e-4
 LARGEST_REACH_UM = 4.0  # beyond ten wavelengths S(q) has more rings than light resolves, and takes minutes
-Positive = Annotated[float, pydantic.Field(gt=0.0)]
 MAX_THICKNESS_NM = 1e4
 
 
@@ -86,7 +85,7 @@ class StructureSpec(RecipeModel):
     lattice: Literal["square", "hexagonal"] = pydantic.Field(
         default="hexagonal", description='the lattice that is jittered, for name = "lattice"'
     )
-    jitter: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
+    jitter: UnitNumber = pydantic.Field(
         default=0.1, description="standard deviation of the jitter, in units of the lattice's constant"
     )
     seed: Annotated[int, pydantic.Field(ge=0, lt=2**32)] = pydantic.Field(

@@ -39,7 +39,7 @@ from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.families.metasurface.tmatrix.tmatrix_file import TMatrixFileError, read_several
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
-from nacre.recipe.model import RecipeContext, RecipeModel
+from nacre.recipe.model import NotNegative, RecipeContext, RecipeModel
 
 GAP_STEPS = 16
 TOUCHES = 1e-9
@@ -496,7 +496,6 @@ ALIGNED = 'write orientation = "aligned", and turn_deg for the angle by which al
 OTHER_WORDS = dict.fromkeys(  # plausible unknown keys, and what to write instead
     ("orientation_deg", "turn", "rotation", "rotation_deg", "azimuth_deg", "aligned"), ALIGNED
 )
-NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
 Extent = Annotated[float, pydantic.Field(ge=2 * SMALLEST_CORE_NM, le=2 * CORE_LIMIT_NM)]
 
 

@@ -20,15 +20,14 @@ from nacre.families.pearl.thickness import Thickness
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
 from nacre.readers.curves import SHARE, THICKNESS_NM, FileSpec, recipe_curve
-from nacre.recipe.model import RecipeContext, RecipeModel, show_value
+from nacre.recipe.model import NotNegative, Positive, RecipeContext, RecipeModel, show_value
 
 MAX_STRATA = 8
 MAX_KINDS = 32
 MAX_COATINGS = 20
 MAX_FRACTION = 0.3  # denser flakes are not independent of each other
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
+NotNegative = NotNegative
 
 
 def _deviation(value: Any) -> Any:

@@ -16,7 +16,7 @@ from nacre.families.relief.structures import MAX_PERIOD_NM
 from nacre.families.relief.vector import VectorRelief
 from nacre.matter.indices.spec import IndexSpec
 from nacre.matter.periodic.structure import MAX_UNKNOWNS
-from nacre.recipe.model import RecipeContext, RecipeModel
+from nacre.recipe.model import Positive, RecipeContext, RecipeModel
 
 AUTO_UNKNOWNS = 800  # of blocks, up to which `auto` takes vector optics: some seconds for each direction
 
@@ -63,12 +63,12 @@ class ReliefSpec(RecipeModel):
     height_scale_um: Annotated[float, Field(gt=0.0, le=MAX_HEIGHT_UM)] | None = Field(
         default=None, description="height of white over black in an image; required for images", examples=[0.5]
     )
-    feature_um: Annotated[float, Field(gt=0.0)] | None = Field(
+    feature_um: Positive | None = Field(
         default=None,
         description="side of one square feature, a pixel of the heights; required unless the file states its pitch",
         examples=[2],
     )
-    blur_um: Annotated[float, Field(gt=0.0)] | None = Field(
+    blur_um: Positive | None = Field(
         default=None,
         description="standard deviation of the Gaussian blur of the process; required unless the heights are a scan",
         examples=[0.6],

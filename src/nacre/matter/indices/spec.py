@@ -39,7 +39,7 @@ from nacre.matter.indices.models import Cauchy, Constant, Dispersion, Oscillator
 from nacre.matter.stack.inputs import CLEAR_K
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import open_file
-from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
+from nacre.recipe.model import NotNegative, Positive, RecipeContext, RecipeModel, UnitNumber, show_value, validate
 
 LAWS = ("tauc_lorentz", "cody_lorentz", "gaussian", "brendel_bormann", "b_spline")
 SUMMED = ("drude", "lorentz", *LAWS)  # terms of one permittivity, which may stand together
@@ -55,9 +55,6 @@ PAGE_SUFFIXES = (".yml", ".yaml")
 PROBE_NM = (360.0, 550.0, 830.0)
 AMBIENT_CHECK_NM = (450.0, 550.0, 650.0)
 SAME_INDEX = 2e-3  # an interface with a smaller index difference reflects less than 1e-6 of the light
-
-NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
-Positive = Annotated[float, pydantic.Field(gt=0.0)]
 
 
 class DrudeSpec(RecipeModel):
@@ -169,7 +166,7 @@ class IndexSpec(RecipeModel):
         description="materials mixed far below the wavelength; of maxwell-garnett the first is the host",
         examples=[["TiO2", "air"]],
     )
-    volume_fractions: tuple[Annotated[float, pydantic.Field(ge=0.0, le=1.0)], ...] | None = pydantic.Field(
+    volume_fractions: tuple[UnitNumber, ...] | None = pydantic.Field(
         default=None,
         min_length=1,
         max_length=10,
@@ -180,11 +177,7 @@ class IndexSpec(RecipeModel):
         default=None, description="effective-medium model of the mixture; default: bruggeman", examples=["bruggeman"]
     )
     depolarisation: (
-        Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
-        | Annotated[
-            tuple[Annotated[float, pydantic.Field(ge=0.0, le=1.0)], ...], pydantic.Field(min_length=3, max_length=3)
-        ]
-        | None
+        UnitNumber | Annotated[tuple[UnitNumber, ...], pydantic.Field(min_length=3, max_length=3)] | None
     ) = pydantic.Field(
         default=None,
         description="depolarisation factors of randomly oriented ellipsoids, three in sum 1, or one factor of aligned "

@@ -28,13 +28,12 @@ from nacre.light import hex_to_srgb, spectrum_to_rgb_linear
 from nacre.matter.indices.spec import IndexSpec
 from nacre.optimise.relief.merit import GAMMA, ColourWeights, Problem, View, default_weights, published_weights
 from nacre.readers.curves import FileSpec, recipe_spectrum
-from nacre.recipe.model import RecipeContext, RecipeModel, show_value
+from nacre.recipe.model import NotNegative, Positive, RecipeContext, RecipeModel, UnitNumber, show_value
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 
-Positive = Annotated[float, pydantic.Field(gt=0.0)]
 Field = pydantic.Field
 KINDS = ("anti-mirror", "anisotropic-anti-mirror", "gaussian", "uniform", "image", "inverted-image", "array")
 # the published names are accepted too
@@ -116,7 +115,7 @@ class TargetTable(RecipeModel):
     intensity_scale: Positive | Literal["free"] = Field(
         default="free", description="brightness of the picture: a fixed scale, or the best one", examples=["free", 2.0]
     )
-    brightness_floor: Annotated[float, Field(ge=0.0)] | None = Field(
+    brightness_floor: NotNegative | None = Field(
         default=None,
         description="least brightness with a free scale; default: 5 % of the light inside the picture",
         examples=[0.1],
@@ -234,7 +233,7 @@ class SearchTable(RecipeModel):
     )
     seed: Annotated[int, Field(ge=0)] = Field(default=1, description="seed of the starts")
     seconds: Positive | None = Field(default=60.0, description="time limit; the best design so far is the result")
-    noise: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+    noise: UnitNumber = Field(
         default=0.0, description="relative noise of each height, by the process, to be robust against"
     )
     blur_error: Annotated[float, Field(ge=0.0, le=0.9)] = Field(
