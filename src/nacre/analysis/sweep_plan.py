@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-import pydantic
 from numpy.typing import NDArray
+from pydantic import Field
 
 from nacre.analysis.ties import tied_maker
 from nacre.bsdf.bsdf import Spectrum
@@ -44,20 +44,20 @@ class AxisSpec(RecipeModel):
     `read_points` reads and validates an axis; this model serves the key reference.
     """
 
-    values: list[Any] | None = pydantic.Field(default=None, description="a list of values", examples=[[100, 200, 400]])
-    start: float | None = pydantic.Field(default=None, description="first value of the interval", examples=[100])
-    stop: float | None = pydantic.Field(default=None, description="last value of the interval", examples=[600])
-    count: int | None = pydantic.Field(
+    values: list[Any] | None = Field(default=None, description="a list of values", examples=[[100, 200, 400]])
+    start: float | None = Field(default=None, description="first value of the interval", examples=[100])
+    stop: float | None = Field(default=None, description="last value of the interval", examples=[600])
+    count: int | None = Field(
         default=None, ge=1, le=MAX_POINTS, description="number of values, both ends included", examples=[51]
     )
-    step: float | None = pydantic.Field(default=None, gt=0.0, description="in place of count: the step", examples=[10])
-    low: float | None = pydantic.Field(
+    step: float | None = Field(default=None, gt=0.0, description="in place of count: the step", examples=[10])
+    low: float | None = Field(
         default=None, description="lower end of a random or sobol sweep's interval", examples=[0.01]
     )
-    high: float | None = pydantic.Field(
+    high: float | None = Field(
         default=None, description="upper end of a random or sobol sweep's interval", examples=[0.3]
     )
-    log: bool = pydantic.Field(default=False, description="spread the values evenly in the logarithm", examples=[True])
+    log: bool = Field(default=False, description="spread the values evenly in the logarithm", examples=[True])
 
 
 @dataclass(frozen=True)
@@ -301,30 +301,30 @@ class MeasureSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ('{angles_deg = [0, 45], illuminant = "A", parts = ["specular_reflectance"]}',)
 
-    angles_deg: list[float] = pydantic.Field(default=[0.0, 15.0, 30.0, 45.0, 60.0], description="angles of incidence")
-    illuminant: str = pydantic.Field(default="D65", description="illuminant of the colours, such as D65 or A")
-    observer: str = pydantic.Field(
+    angles_deg: list[float] = Field(default=[0.0, 15.0, 30.0, 45.0, 60.0], description="angles of incidence")
+    illuminant: str = Field(default="D65", description="illuminant of the colours, such as D65 or A")
+    observer: str = Field(
         json_schema_extra={"enum": ["2deg", "10deg"]},
         default="10deg",
         description="observer of the colours: 2deg or 10deg",
     )
-    wavelengths_nm: list[float] | None = pydantic.Field(
+    wavelengths_nm: list[float] | None = Field(
         default=None,
         description="ascending grid of wavelengths; chosen by the material if not given",
         examples=[[400, 500, 600, 700]],
     )
-    parts: list[str] | None = pydantic.Field(
+    parts: list[str] | None = Field(
         default=None,
         description="parts of the spectrum to store, such as specular_reflectance; chosen by the material if not given",
         examples=[["specular_reflectance"]],
     )
-    geometries: list[str] | None = pydantic.Field(
+    geometries: list[str] | None = Field(
         default=None,
         description="geometries at which colours are stored as well, or names of the recipe's [[geometry]]; default: "
         "all of these names",
         examples=[["45as15", "45as110", "door"]],
     )
-    texture: list[str] = pydantic.Field(
+    texture: list[str] = Field(
         default=[],
         description="numbers of texture to store, of a pearl whose flakes have a diameter: sparkle_15, intensity_45, "
         "area_75, graininess",
@@ -335,20 +335,20 @@ class MeasureSpec(RecipeModel):
 class SweepSpec(RecipeModel):
     """A sweep file: recipe, axes, sampling and stored quantities."""
 
-    recipe: str = pydantic.Field(description="file of the recipe to vary", examples=["film.toml"])
-    axes: Annotated[dict[str, Any], ByPath(AxisSpec, ({"type": "array"},))] = pydantic.Field(
+    recipe: str = Field(description="file of the recipe to vary", examples=["film.toml"])
+    axes: Annotated[dict[str, Any], ByPath(AxisSpec, ({"type": "array"},))] = Field(
         description="path of a number of the recipe -> a list of values, or a table with start, stop and "
         "count (or step), or low and high, and log",
         examples=[{"layers[0].thickness_nm": {"start": 100, "stop": 600, "count": 51}}, {"substrate": ["Si", "Al"]}],
     )
-    mode: str = pydantic.Field(
+    mode: str = Field(
         json_schema_extra={"enum": list(MODES)},
         default="grid",
         description="how the axes are filled: grid, random or sobol",
     )
-    count: int = pydantic.Field(default=256, description="number of points of random and sobol sweeps")
-    seed: int = pydantic.Field(default=0, description="seed of the points")
-    measure: MeasureSpec = pydantic.Field(default=MeasureSpec(), description="the quantities to store of each point")
+    count: int = Field(default=256, description="number of points of random and sobol sweeps")
+    seed: int = Field(default=0, description="seed of the points")
+    measure: MeasureSpec = Field(default=MeasureSpec(), description="the quantities to store of each point")
 
 
 @dataclass(frozen=True)

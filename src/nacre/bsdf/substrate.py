@@ -16,6 +16,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import pydantic
 from numpy.typing import NDArray
+from pydantic import Field
 
 from nacre.bsdf.compensation import interface_losses
 from nacre.bsdf.facet_distributions import SMOOTH_BELOW, Roughness, check_widths
@@ -261,7 +262,7 @@ def _widths(value: Any) -> Any:
 
 
 Widths = Annotated[
-    UnitNumber | Annotated[tuple[UnitNumber, ...], pydantic.Field(min_length=1, max_length=2)],
+    UnitNumber | Annotated[tuple[UnitNumber, ...], Field(min_length=1, max_length=2)],
     pydantic.BeforeValidator(_widths),
 ]
 
@@ -283,26 +284,26 @@ class SubstrateSpec(RecipeModel):
 
     model_config = pydantic.ConfigDict(json_schema_extra=_albedo_may_name_a_recipe)
 
-    albedo: UnitNumber | AlbedoSpec | None = pydantic.Field(
+    albedo: UnitNumber | AlbedoSpec | None = Field(
         default=None,
         description="albedo of a diffuse base, or a file with the albedo over wavelength",
         examples=[0.05, {"file": "albedo.csv"}],
     )
-    material: IndexSpec | None = pydantic.Field(default=None, description="a metal base instead of a diffuse one")
-    recipe: str | dict[str, Any] | None = pydantic.Field(
+    material: IndexSpec | None = Field(default=None, description="a metal base instead of a diffuse one")
+    recipe: str | dict[str, Any] | None = Field(
         default=None,
         description="another opaque recipe of any family as the base, by its file or as a table; without an ambient "
         "of its own it is built in the resin. Its strata (pearl, glass) continue below these, with their own base",
         examples=["film.toml"],
     )
-    none: bool = pydantic.Field(default=False, description="open lower side: light passes", examples=[True])
-    roughness: Widths = pydantic.Field(
+    none: bool = Field(default=False, description="open lower side: light passes", examples=[True])
+    roughness: Widths = Field(
         default=0.0, description="alpha of the metal, or [alpha_x, alpha_y]; 0 is smooth", examples=[0.2, [0.05, 0.2]]
     )
-    distribution: Literal["ggx", "beckmann"] = pydantic.Field(
+    distribution: Literal["ggx", "beckmann"] = Field(
         default="ggx", description="distribution of the metal's facet normals"
     )
-    compensate: bool = pydantic.Field(
+    compensate: bool = Field(
         default=False, description="restore the light scattered between the metal's facets", examples=[True]
     )
 

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import pydantic
 from numpy.typing import NDArray
+from pydantic import Field
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError, did_you_mean
@@ -434,24 +435,24 @@ class TextureSpec(RecipeModel):
     noun: ClassVar[str] = "texture"
     one_of: ClassVar[tuple[str, ...]] = ("texture", "formula")
 
-    texture: str | None = pydantic.Field(
+    texture: str | None = Field(
         default=None, description="an image beside the recipe, 8 or 16 bit, read as grey", examples=["grey.png"]
     )
-    formula: str | None = pydantic.Field(
+    formula: str | None = Field(
         default=None,
         description="an expression in the surface coordinates u and v, each from 0 to 1, the names in "
         "`[numbers]`, and the time t of an animation; in pictures also in the position x, y, z on the object: from the "
         "centre of its bounding sphere, in sphere radii, x to the right, z up, turning with the object",
         examples=["0.1 + 0.6*v", "0.4 - 0.3*z"],
     )
-    min: float | None = pydantic.Field(
+    min: float | None = Field(
         default=None, description="value of the image's black; lower clip of a formula", examples=[0.1]
     )
-    max: float | None = pydantic.Field(
+    max: float | None = Field(
         default=None, description="value of the image's white; upper clip of a formula", examples=[0.7]
     )
 
-    interpolation: Literal["linear", "nearest"] = pydantic.Field(
+    interpolation: Literal["linear", "nearest"] = Field(
         default="linear",
         description="of an image: linear between pixel centres, or nearest, which gives each pixel one value up to its "
         "edge, as for process steps",

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import pydantic
+from pydantic import Field
 
 from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path, read_text
@@ -40,28 +40,28 @@ Report = Callable[["Item", int, int, float, float], None]  # item, number, total
 class PictureSpec(RecipeModel):
     """A still of the gallery."""
 
-    recipe: str = pydantic.Field(description="file of the recipe that is shown")
-    title: str = pydantic.Field(description="caption on the contact sheet")
-    scene: str = pydantic.Field(default="sphere", description="scene, as `nacre render --scene` takes it")
-    shape: str | None = pydantic.Field(
+    recipe: str = Field(description="file of the recipe that is shown")
+    title: str = Field(description="caption on the contact sheet")
+    scene: str = Field(default="sphere", description="scene, as `nacre render --scene` takes it")
+    shape: str | None = Field(
         default=None, description="shape, as `nacre render --shape` takes it; the scene's own if not given"
     )
-    light: str | None = pydantic.Field(
+    light: str | None = Field(
         default=None, description="light, as `nacre render --light` takes it; the scene's own if not given"
     )
-    illuminant: str = pydantic.Field(default="D65", description="spectrum of the light, such as D65 or A")
-    components: str = pydantic.Field(
+    illuminant: str = Field(default="D65", description="spectrum of the light, such as D65 or A")
+    components: str = Field(
         default="sum", description="parts of the reflection that are shown, as `nacre render --components` takes them"
     )
-    exposure: float | Literal["auto"] = pydantic.Field(default="auto", description="exposure in stops, or auto")
-    view_turn_deg: float = pydantic.Field(default=0.0, description="turns the view round the object")
-    light_turn_deg: float = pydantic.Field(default=0.0, description="turns the light round the object")
-    ratio: float = pydantic.Field(default=1.0, gt=0, le=1, description="height of the picture over its width")
-    zoom: float | None = pydantic.Field(default=None, description="magnification, as `nacre render --zoom` takes it")
-    spp: float = pydantic.Field(default=1.0, description="times the usual number of samples")
-    quick: bool = pydantic.Field(default=False, description="whether it is part of `nacre demo --quick`")
-    name: str | None = pydantic.Field(default=None, description="name of the picture's file; the recipe's if not given")
-    quality: Literal["reference", "fast"] | None = pydantic.Field(
+    exposure: float | Literal["auto"] = Field(default="auto", description="exposure in stops, or auto")
+    view_turn_deg: float = Field(default=0.0, description="turns the view round the object")
+    light_turn_deg: float = Field(default=0.0, description="turns the light round the object")
+    ratio: float = Field(default=1.0, gt=0, le=1, description="height of the picture over its width")
+    zoom: float | None = Field(default=None, description="magnification, as `nacre render --zoom` takes it")
+    spp: float = Field(default=1.0, description="times the usual number of samples")
+    quick: bool = Field(default=False, description="whether it is part of `nacre demo --quick`")
+    name: str | None = Field(default=None, description="name of the picture's file; the recipe's if not given")
+    quality: Literal["reference", "fast"] | None = Field(
         default=None, description="quality of a pearl, in place of the recipe's own"
     )
 
@@ -69,22 +69,22 @@ class PictureSpec(RecipeModel):
 class AnimationSpec(PictureSpec):
     """An animation."""
 
-    animate: str = pydantic.Field(description="what moves: light, view, or PATH=A:B of a number of the recipe")
+    animate: str = Field(description="what moves: light, view, or PATH=A:B of a number of the recipe")
 
 
 class RowSpec(RecipeModel):
     """An animation of several materials in rows, with one light and one exposure."""
 
-    recipes: list[str] = pydantic.Field(min_length=1, description="files of the recipes that are shown together")
-    columns: Annotated[int, pydantic.Field(ge=1)] = pydantic.Field(description="number of materials in a row")
-    title: str = pydantic.Field(description="caption on the contact sheet")
-    name: str = pydantic.Field(description="name of the animation's file")
-    scene: str = pydantic.Field(description="scene, as `nacre render --scene` takes it")
-    animate: Literal["light", "view"] = pydantic.Field(description="what moves")
-    cell: tuple[int, int] = pydantic.Field(description="width and height of one material's picture, in pixels")
-    spp: float = pydantic.Field(default=1.0, description="times the usual number of samples")
-    quick: bool = pydantic.Field(default=False, description="whether it is part of `nacre demo --quick`")
-    quality: Literal["reference", "fast"] | None = pydantic.Field(
+    recipes: list[str] = Field(min_length=1, description="files of the recipes that are shown together")
+    columns: Annotated[int, Field(ge=1)] = Field(description="number of materials in a row")
+    title: str = Field(description="caption on the contact sheet")
+    name: str = Field(description="name of the animation's file")
+    scene: str = Field(description="scene, as `nacre render --scene` takes it")
+    animate: Literal["light", "view"] = Field(description="what moves")
+    cell: tuple[int, int] = Field(description="width and height of one material's picture, in pixels")
+    spp: float = Field(default=1.0, description="times the usual number of samples")
+    quick: bool = Field(default=False, description="whether it is part of `nacre demo --quick`")
+    quality: Literal["reference", "fast"] | None = Field(
         default=None, description="quality of a pearl, in place of the recipe's own"
     )
 
@@ -92,29 +92,29 @@ class RowSpec(RecipeModel):
 class PlotSpec(RecipeModel):
     """A figure of the gallery."""
 
-    recipe: str = pydantic.Field(description="file of the recipe that is drawn")
-    title: str = pydantic.Field(description="caption on the contact sheet")
-    kind: str = pydantic.Field(description="kind of the figure, as `nacre plot --kind` takes it")
-    quick: bool = pydantic.Field(default=False, description="whether it is part of `nacre demo --quick`")
+    recipe: str = Field(description="file of the recipe that is drawn")
+    title: str = Field(description="caption on the contact sheet")
+    kind: str = Field(description="kind of the figure, as `nacre plot --kind` takes it")
+    quick: bool = Field(default=False, description="whether it is part of `nacre demo --quick`")
 
 
 class DesignSpec(RecipeModel):
     """A design: target file and time limit in seconds."""
 
-    target: str = pydantic.Field(description="file of the target")
-    title: str = pydantic.Field(description="caption on the contact sheet")
-    seconds: float = pydantic.Field(default=15.0, description="time that the search may take")
-    quick: bool = pydantic.Field(default=False, description="whether it is part of `nacre demo --quick`")
+    target: str = Field(description="file of the target")
+    title: str = Field(description="caption on the contact sheet")
+    seconds: float = Field(default=15.0, description="time that the search may take")
+    quick: bool = Field(default=False, description="whether it is part of `nacre demo --quick`")
 
 
 class GallerySpec(RecipeModel):
     """The items of `nacre demo`, as in examples/gallery.toml."""
 
-    picture: list[PictureSpec] = pydantic.Field(default=[], description="the stills")
-    animation: list[AnimationSpec] = pydantic.Field(default=[], description="the animations of one material")
-    row: list[RowSpec] = pydantic.Field(default=[], description="the animations of several materials at once")
-    plot: list[PlotSpec] = pydantic.Field(default=[], description="the figures")
-    design: list[DesignSpec] = pydantic.Field(default=[], description="the designs")
+    picture: list[PictureSpec] = Field(default=[], description="the stills")
+    animation: list[AnimationSpec] = Field(default=[], description="the animations of one material")
+    row: list[RowSpec] = Field(default=[], description="the animations of several materials at once")
+    plot: list[PlotSpec] = Field(default=[], description="the figures")
+    design: list[DesignSpec] = Field(default=[], description="the designs")
 
 
 @dataclass(frozen=True)

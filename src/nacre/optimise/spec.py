@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
+from pydantic import Field
 
 from nacre.measure.texture import QUANTITY_NAMES, Instrument
 from nacre.optimise.relief.target import TargetTable
@@ -20,7 +21,7 @@ from nacre.recipe.path_tables import GeometrySpec, ParameterSpec, ToleranceSpec
 Triple = tuple[float, float, float]
 InstrumentKey = Annotated[
     str | Instrument,
-    pydantic.Field(
+    Field(
         description="lamp, camera and calibration of texture targets, a file or its keys", examples=["instrument.toml"]
     ),
 ]
@@ -46,85 +47,81 @@ class TargetEntry(RecipeModel):
         '{quantity = "sparkle_45", value = 1.2, tolerance = 10}',
     )
 
-    geometry: str | None = pydantic.Field(
+    geometry: str | None = Field(
         default=None,
         description="geometry: specular T, transmitted T (into the substrate), diffuse T or hemispherical T, "
         "with T the angle of incidence in degrees; or IasA: light from I, viewer A degrees from the mirror direction "
         "towards the light; or a name of [[geometry]]",
         examples=["specular 0", "45as15"],
     )
-    polarisation: Literal["s", "p", "left", "right", "both"] = pydantic.Field(
+    polarisation: Literal["s", "p", "left", "right", "both"] = Field(
         default="both",
         description="of the incident light, for specular and transmitted targets; both: unpolarised",
         examples=["left"],
     )
-    colour: str | None = pydantic.Field(
-        default=None, description="target colour in sRGB, #rrggbb", examples=["#c2185b"]
-    )
-    lab: Triple | None = pydantic.Field(
-        default=None, description="L*, a*, b* under every lamp", examples=[[41, 66, 14]]
-    )
-    lch: Triple | None = pydantic.Field(
+    colour: str | None = Field(default=None, description="target colour in sRGB, #rrggbb", examples=["#c2185b"])
+    lab: Triple | None = Field(default=None, description="L*, a*, b* under every lamp", examples=[[41, 66, 14]])
+    lch: Triple | None = Field(
         default=None, description="L*, C*, h in degrees under every lamp", examples=[[41, 67, 12]]
     )
-    xyz: Triple | None = pydantic.Field(
+    xyz: Triple | None = Field(
         default=None, description="X, Y, Z under the first lamp, white has Y = 1", examples=[[0.2, 0.12, 0.1]]
     )
-    xyy: Triple | None = pydantic.Field(
+    xyy: Triple | None = Field(
         default=None, description="x, y, Y under the first lamp, white has Y = 1", examples=[[0.48, 0.28, 0.12]]
     )
-    spectrum: FileSpec | None = pydantic.Field(
+    spectrum: FileSpec | None = Field(
         default=None,
         description="CSV of wavelengths and target factors: nm and 0 to 1, or other units as in "
         "its heading; bands without rows (a step above 3 times the usual one) are not compared",
         examples=["filter.csv"],
     )
-    image: str | None = pydantic.Field(
+    image: str | None = Field(
         default=None,
         description="sRGB picture: each pixel is the target colour of its place on the surface, over which one or two "
         "parameters vary; it is the only target. With period and turn of a grating as parameters it becomes a hologram "
         "of one or two pictures",
         examples=["photo.png"],
     )
-    light_azimuth_deg: Annotated[float, pydantic.Field(ge=-360.0, le=360.0)] = pydantic.Field(
+    light_azimuth_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = Field(
         default=0.0,
         description="of a hologram: azimuth of lamp and viewer about the normal, from u towards v",
         examples=[90],
     )
-    hue_deg: Bounds | None = pydantic.Field(
+    hue_deg: Bounds | None = Field(
         default=None,
         description="range of the hue angle in degrees, upward from the first to the second; may cross 0",
         examples=[[350, 10]],
     )
-    chroma: str | Bounds | None = pydantic.Field(
+    chroma: str | Bounds | None = Field(
         default=None, description="least or largest chroma, or both as a pair", examples=[">=40"]
     )
-    lightness: str | Bounds | None = pydantic.Field(
+    lightness: str | Bounds | None = Field(
         default=None, description="least or largest lightness, or both as a pair", examples=["<=20"]
     )
-    directions: TargetTable | None = pydantic.Field(
+    directions: TargetTable | None = Field(
         default=None,
         description="instead of geometry and colour: the picture that a relief shows over the directions",
         examples=[{"kind": "anti-mirror", "range": 0.5}],
     )
-    quantity: str | None = pydantic.Field(
+    quantity: str | None = Field(
         json_schema_extra={"enum": list(QUANTITY_NAMES)},
         default=None,
         description="instead of geometry and colour: sparkle, its intensity or area at a lamp angle in degrees, or "
         "graininess, of a pearl whose flakes have a diameter",
         examples=["sparkle_45"],
     )
-    value: Positive | str | Bounds | None = pydantic.Field(
+    value: Positive | str | Bounds | None = Field(
         default=None,
         description='with quantity: the number, a bound such as ">=1.5", or both ends of a range',
         examples=[1.2],
     )
-    tolerance: Positive = pydantic.Field(
+    tolerance: Positive = Field(
         default=1.0,
         description="allowed distance: dE00; for a spectrum the rms in per cent; for a quantity the deviation in per "
         f"cent of its value (default {TEXTURE_TOLERANCE_PERCENT:g})",
     )
-    weight: Positive = pydantic.Field(default=1.0, description="weight relative to the other targets")
+    weight: Positive = Field(default=1.0, description="weight relative to the other targets")
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -165,10 +162,10 @@ class LightSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ('{illuminants = ["D65", "A"], observer = "10deg"}',)
 
-    illuminants: Annotated[list[str], pydantic.Field(min_length=1, max_length=16)] = pydantic.Field(
+    illuminants: Annotated[list[str], Field(min_length=1, max_length=16)] = Field(
         default=["D65"], description="lamps; colours are targets under each of them", examples=[["D65", "A"]]
     )
-    observer: str = pydantic.Field(
+    observer: str = Field(
         json_schema_extra={"enum": ["2deg", "10deg"]}, default="10deg", description="observer of the colours"
     )
 
@@ -182,27 +179,27 @@ class LimitsSpec(RecipeModel):
         "{within_validity = true}",
     )
 
-    max_total_nm: Positive | None = pydantic.Field(
+    max_total_nm: Positive | None = Field(
         default=None, description="largest total thickness of the layers", examples=[800]
     )
-    max_layers: Literal["fewest"] | None = pydantic.Field(
+    max_layers: Literal["fewest"] | None = Field(
         default=None, description="fewest: of equally good stacks the one with fewest layers", examples=["fewest"]
     )
-    height_levels: Annotated[int, pydantic.Field(ge=2, le=256)] | None = pydantic.Field(
+    height_levels: Annotated[int, Field(ge=2, le=256)] | None = Field(
         default=None,
         description="of a picture: number of values, evenly spaced over its bounds, that the process gives each "
         "parameter; colours between them are dithered",
         examples=[8],
     )
-    dither: bool = pydantic.Field(
+    dither: bool = Field(
         default=True,
         description="of a picture with height_levels: false gives each pixel the level of the nearest colour",
         examples=[False],
     )
-    dot_um: Annotated[float, pydantic.Field(ge=1.0, le=1000.0)] = pydantic.Field(
+    dot_um: Annotated[float, Field(ge=1.0, le=1000.0)] = Field(
         default=10.0, description="of a hologram: side of a dot", examples=[10]
     )
-    within_validity: bool = pydantic.Field(
+    within_validity: bool = Field(
         default=False,
         description="of a relief: heights stay within the validity of scalar diffraction",
         examples=[True],
@@ -217,20 +214,18 @@ class SearchSpec(RecipeModel):
         "{evaluations = 2000, seconds = 600}",
     )
 
-    evaluations: Positive | None = pydantic.Field(
+    evaluations: Positive | None = Field(
         default=None,
         description="candidates to evaluate at most; without it a number that suits the method. The same target, seed "
         "and evaluations give the same result on any machine unless `seconds` ends the search first",
         examples=[2000],
     )
-    seconds: Positive = pydantic.Field(
+    seconds: Positive = Field(
         default=60.0,
         description="time limit of the whole command; of a picture, if given, of the refinement of its palette",
     )
-    solutions: Annotated[int, pydantic.Field(ge=1, le=100)] = pydantic.Field(
-        default=5, description="largest number of solutions"
-    )
-    seed: Annotated[int, pydantic.Field(ge=0, le=2**32 - 1)] = pydantic.Field(default=0, description="seed")
+    solutions: Annotated[int, Field(ge=1, le=100)] = Field(default=5, description="largest number of solutions")
+    seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = Field(default=0, description="seed")
 
 
 class LayersSpec(RecipeModel):
@@ -241,18 +236,16 @@ class LayersSpec(RecipeModel):
         '{palette = ["Cr", "MgF2"], thickness_nm = {Cr = [3, 20], other = [20, 600]}, substrate = ["Al", "Ag"]}',
     )
 
-    palette: Annotated[list[Any], pydantic.Field(min_length=1, max_length=64)] = pydantic.Field(
+    palette: Annotated[list[Any], Field(min_length=1, max_length=64)] = Field(
         description="optical constants that a layer may have", examples=[["SiO2", "TiO2", "Cr"]]
     )
-    max_layers: Annotated[int, pydantic.Field(ge=1, le=200)] = pydantic.Field(
-        default=6, description="largest layer count"
-    )
-    thickness_nm: Bounds | dict[str, Bounds] = pydantic.Field(
+    max_layers: Annotated[int, Field(ge=1, le=200)] = Field(default=6, description="largest layer count")
+    thickness_nm: Bounds | dict[str, Bounds] = Field(
         default=(5.0, 250.0),
         description="bounds of every layer, or of each material with `other` for the rest",
         examples=[[5, 250], {"Cr": [3, 20], "other": [20, 250]}],
     )
-    substrate: Any = pydantic.Field(
+    substrate: Any = Field(
         default=None, description="substrate, or a list of alternatives; default: the substrate of the recipe"
     )
 
@@ -270,43 +263,41 @@ class DesignSpec(RecipeModel):
         "search": {"seconds": 30},
     }
 
-    recipe: str | dict[str, Any] = pydantic.Field(
+    recipe: str | dict[str, Any] = Field(
         description="recipe to start from: its file, or the recipe as a table",
         examples=["start.toml", {"family": "film", "substrate": "Al", "layers": []}],
     )
-    parameters: Annotated[dict[str, Any], ByPath(ParameterSpec, (PAIR,))] = pydantic.Field(
+    parameters: Annotated[dict[str, Any], ByPath(ParameterSpec, (PAIR,))] = Field(
         default={},
         description="path of a number or word of the recipe, with [*] for any index -> two numbers as bounds, "
         "or a table",
         examples=[{"layers[0].thickness_nm": [3, 15]}, {"layers[1].material": {"choices": ["SiO2", "MgF2"]}}],
     )
-    layers: LayersSpec | None = pydantic.Field(
-        default=None, description="whole-stack search, instead of parameters of layers"
-    )
-    target: Annotated[list[TargetEntry], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
+    layers: LayersSpec | None = Field(default=None, description="whole-stack search, instead of parameters of layers")
+    target: Annotated[list[TargetEntry], Field(min_length=1, max_length=200)] = Field(
         description="targets, a list of tables"
     )
     instrument: InstrumentKey = Instrument()
-    geometry: list[GeometrySpec] = pydantic.Field(
+    geometry: list[GeometrySpec] = Field(
         default=[],
         description="geometries by name for the targets, in addition to those of the recipe",
         examples=[[{"name": "door", "at": "45as60az125.3"}]],
     )
-    light: LightSpec = pydantic.Field(default=LightSpec(), description="lamps and observer")
+    light: LightSpec = Field(default=LightSpec(), description="lamps and observer")
     tolerance: Annotated[
         dict[str, Any], ByPath(ToleranceSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}))
-    ] = pydantic.Field(
+    ] = Field(
         default={},
         description="manufacturing tolerances, for solutions of high yield: path, with [*] for any index -> a standard "
         "deviation, a percentage, or a table",
         examples=[{"layers[*].thickness_nm": {"percent": 2}}, {"layers[0].thickness_nm": 5}],
     )
-    limits: LimitsSpec = pydantic.Field(default=LimitsSpec(), description="solution constraints")
-    search: SearchSpec = pydantic.Field(default=SearchSpec(), description="budget, number of solutions, seed")
+    limits: LimitsSpec = Field(default=LimitsSpec(), description="solution constraints")
+    search: SearchSpec = Field(default=SearchSpec(), description="budget, number of solutions, seed")
 
 
 MOST_ANSWERS = 20
-Fraction = Annotated[float, pydantic.Field(ge=0.0, le=0.3)]
+Fraction = Annotated[float, Field(ge=0.0, le=0.3)]
 
 
 class ResinSpec(RecipeModel):
@@ -314,19 +305,19 @@ class ResinSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{cost_per_kg = 4, density_kg_l = 1.1}",)
 
-    cost_per_kg: NotNegative = pydantic.Field(default=0.0, description="price of 1 kg")
-    density_kg_l: Positive = pydantic.Field(default=1.1, description="density in kg/l")
+    cost_per_kg: NotNegative = Field(default=0.0, description="price of 1 kg")
+    density_kg_l: Positive = Field(default=1.1, description="density in kg/l")
 
 
 class IngredientSpec(RecipeModel):
     """Name, bounds, price and density of an ingredient."""
 
-    name: str = pydantic.Field(min_length=1, max_length=80, description="name", examples=["silver fine"])
-    volume_fraction: tuple[Fraction, Fraction] = pydantic.Field(
+    name: str = Field(min_length=1, max_length=80, description="name", examples=["silver fine"])
+    volume_fraction: tuple[Fraction, Fraction] = Field(
         description="bounds of the volume fraction in the dry stratum", examples=[[0, 0.03]]
     )
-    cost_per_kg: NotNegative = pydantic.Field(default=0.0, description="price of 1 kg", examples=[45])
-    density_kg_l: Positive = pydantic.Field(default=1.0, description="density in kg/l", examples=[3.1])
+    cost_per_kg: NotNegative = Field(default=0.0, description="price of 1 kg", examples=[45])
+    density_kg_l: Positive = Field(default=1.0, description="density in kg/l", examples=[3.1])
 
     @pydantic.model_validator(mode="after")
     def _ascending(self) -> IngredientSpec:
@@ -344,7 +335,7 @@ class PigmentSpec(IngredientSpec):
         'platelet = {coatings = [{material = "Al", thickness_nm = 60}]}}',
     )
 
-    platelet: dict[str, Any] = pydantic.Field(
+    platelet: dict[str, Any] = Field(
         description="the flake, as an entry of [[strata.platelets]] without volume_fraction",
         examples=[{"coatings": [{"material": "Al", "thickness_nm": 60}]}],
     )
@@ -357,7 +348,7 @@ class DyeSpec(IngredientSpec):
         '{name = "red", volume_fraction = [0, 0.02], cost_per_kg = 30, dye = {material = {n = 1.5, k = 0.02}}}',
     )
 
-    dye: dict[str, Any] = pydantic.Field(
+    dye: dict[str, Any] = Field(
         description="the dye, as strata.dye of a recipe without volume_fraction and radius_nm",
         examples=[{"material": {"n": 1.5, "k": 0.02}}],
     )
@@ -375,13 +366,11 @@ class LibrarySpec(RecipeModel):
         "dye": [{"name": "red", "volume_fraction": [0, 0.02], "cost_per_kg": 30, "dye": {"material": "Fe2O3"}}],
     }  # fmt: skip
 
-    resin: ResinSpec = pydantic.Field(default=ResinSpec(), description="price and density of the resin")
-    pigment: Annotated[list[PigmentSpec], pydantic.Field(max_length=64)] = pydantic.Field(
+    resin: ResinSpec = Field(default=ResinSpec(), description="price and density of the resin")
+    pigment: Annotated[list[PigmentSpec], Field(max_length=64)] = Field(
         default=[], description="pigments", examples=[[]]
     )
-    dye: Annotated[list[DyeSpec], pydantic.Field(max_length=64)] = pydantic.Field(
-        default=[], description="dissolved dyes", examples=[[]]
-    )
+    dye: Annotated[list[DyeSpec], Field(max_length=64)] = Field(default=[], description="dissolved dyes", examples=[[]])
 
     @pydantic.model_validator(mode="after")
     def _names(self) -> LibrarySpec:
@@ -399,20 +388,20 @@ class FormulationSearch(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{solutions = 3, seconds = 60, max_pigments = 2}",)
 
-    max_pigments: Annotated[int, pydantic.Field(ge=0, le=5)] = pydantic.Field(
+    max_pigments: Annotated[int, Field(ge=0, le=5)] = Field(
         default=2, description="largest number of pigments of a paint, beside at most one dye"
     )
-    solutions: Annotated[int, pydantic.Field(ge=1, le=MOST_ANSWERS)] = pydantic.Field(
+    solutions: Annotated[int, Field(ge=1, le=MOST_ANSWERS)] = Field(
         default=3, description="number of answers, of different ingredients"
     )
-    seconds: Positive = pydantic.Field(default=120.0, description="time limit")
-    evaluations: Positive | None = pydantic.Field(
+    seconds: Positive = Field(default=120.0, description="time limit")
+    evaluations: Positive | None = Field(
         default=None,
         description="limit of refined combinations in all stages; default: as many as the stages have. The same seed "
         "and evaluations give the same result on any machine unless `seconds` ends the search first",
         examples=[200],
     )
-    seed: Annotated[int, pydantic.Field(ge=0, le=2**32 - 1)] = pydantic.Field(default=0, description="seed")
+    seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = Field(default=0, description="seed")
 
 
 class FormulationSpec(RecipeModel):
@@ -426,19 +415,19 @@ class FormulationSpec(RecipeModel):
         "target": [{"geometry": "45as15", "lab": [62, 30, -12]}, {"geometry": "45as45", "lab": [31, 12, -8]}],
     }  # fmt: skip
 
-    library: str | LibrarySpec = pydantic.Field(
+    library: str | LibrarySpec = Field(
         description="file of the library, or the library as a table", examples=["pigments.toml"]
     )
-    recipe: dict[str, Any] = pydantic.Field(
+    recipe: dict[str, Any] = Field(
         description="the pearl without pigments and dye: resin, thickness and base",
         examples=[{"family": "pearl", "strata": [{"resin": {"n": 1.5}, "thickness_um": 40}]}],
     )
-    target: Annotated[list[TargetEntry], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
+    target: Annotated[list[TargetEntry], Field(min_length=1, max_length=200)] = Field(
         description="measured colours at aspecular geometries, and measured texture"
     )
     instrument: InstrumentKey = Instrument()
-    geometry: list[GeometrySpec] = pydantic.Field(
+    geometry: list[GeometrySpec] = Field(
         default=[], description="geometries by name", examples=[[{"name": "door", "at": "45as60az125.3"}]]
     )
-    light: LightSpec = pydantic.Field(default=LightSpec(), description="lamps and observer")
-    search: FormulationSearch = pydantic.Field(default=FormulationSearch(), description="size of the search")
+    light: LightSpec = Field(default=LightSpec(), description="lamps and observer")
+    search: FormulationSearch = Field(default=FormulationSearch(), description="size of the search")

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pydantic
+from pydantic import Field
 
 from nacre.core.errors import NacreError
 from nacre.light import spans_colour
@@ -223,21 +224,19 @@ class FileSpec(RecipeModel):
     noun: ClassVar[str] = "measured file"
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"type": "string"},)
 
-    file: str = pydantic.Field(description="the file, beside the recipe", examples=["data.csv"])
-    columns: tuple[str, ...] = pydantic.Field(
+    file: str = Field(description="the file, beside the recipe", examples=["data.csv"])
+    columns: tuple[str, ...] = Field(
         default=(),
         description='what its columns are, one name each, where no heading says it; "-" leaves one out',
         examples=[["wavelength_nm", "reflectance"]],
     )
-    ignore: tuple[str, ...] = pydantic.Field(
+    ignore: tuple[str, ...] = Field(
         default=(), description="headings of columns that are left out", examples=[["batch"]]
     )
-    unit: str | None = pydantic.Field(
+    unit: str | None = Field(
         default=None, description="unit of its wavelengths or energies, if it names none", examples=["um"]
     )
-    spectrum: str | None = pydantic.Field(
-        default=None, description="name or number of one of its spectra", examples=["red"]
-    )
+    spectrum: str | None = Field(default=None, description="name or number of one of its spectra", examples=["red"])
 
     @pydantic.model_validator(mode="before")
     @classmethod

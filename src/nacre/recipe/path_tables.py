@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-import pydantic
+from pydantic import Field
 
 from nacre.core.errors import RecipeError, did_you_mean
 from nacre.recipe.keys import ByPath
@@ -17,8 +17,8 @@ class BoundsSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{min = 100, max = 600}",)
 
-    min: float = pydantic.Field(description="lower bound", examples=[100])
-    max: float = pydantic.Field(description="upper bound", examples=[600])
+    min: float = Field(description="lower bound", examples=[100])
+    max: float = Field(description="upper bound", examples=[600])
 
 
 class ParameterSpec(RecipeModel):
@@ -27,11 +27,9 @@ class ParameterSpec(RecipeModel):
     one_of: ClassVar[tuple[str, ...]] = ("min|max", "choices")
     forms: ClassVar[tuple[str, ...]] = ("{min = 3, max = 15}", '{choices = ["SiO2", "MgF2"]}')
 
-    min: float | None = pydantic.Field(default=None, description="lower bound", examples=[3])
-    max: float | None = pydantic.Field(default=None, description="upper bound", examples=[15])
-    choices: list[Any] | None = pydantic.Field(
-        default=None, description="values to choose from", examples=[["SiO2", "MgF2"]]
-    )
+    min: float | None = Field(default=None, description="lower bound", examples=[3])
+    max: float | None = Field(default=None, description="upper bound", examples=[15])
+    choices: list[Any] | None = Field(default=None, description="values to choose from", examples=[["SiO2", "MgF2"]])
 
 
 class ToleranceSpec(RecipeModel):
@@ -39,25 +37,25 @@ class ToleranceSpec(RecipeModel):
 
     one_of: ClassVar[tuple[str, ...]] = ("deviation", "percent")
 
-    deviation: float | None = pydantic.Field(
+    deviation: float | None = Field(
         default=None,
         ge=0.0,
         description="standard deviation, or half width of a uniform distribution, in the number's unit",
         examples=[5],
     )
-    percent: float | None = pydantic.Field(
+    percent: float | None = Field(
         default=None, ge=0.0, description="in place of deviation: the same in per cent of the number", examples=[2]
     )
-    distribution: Literal["gaussian", "uniform"] = pydantic.Field(
+    distribution: Literal["gaussian", "uniform"] = Field(
         default="gaussian", description="distribution of the number", examples=["uniform"]
     )
-    group: str = pydantic.Field(
+    group: str = Field(
         default="",
         description='numbers of one group deviate together (a run, a tooling factor); "material": all layers of one '
         "material",
         examples=["run", "material"],
     )
-    source: str = pydantic.Field(
+    source: str = Field(
         default="",
         description="cause of the deviation in the machine, by which the report of `nacre tolerance` sums the "
         "contributions: a word such as run to run, within a run, uniformity, index drift",
@@ -68,10 +66,10 @@ class ToleranceSpec(RecipeModel):
 class CorrelationSpec(RecipeModel):
     """Correlated deviations of several numbers."""
 
-    of: list[str] = pydantic.Field(
+    of: list[str] = Field(
         description="paths of numbers with a tolerance, with [*] for any index", examples=[["layers[*].thickness_nm"]]
     )
-    matrix: list[list[float]] = pydantic.Field(
+    matrix: list[list[float]] = Field(
         description="correlation matrix of their deviations, in this order", examples=[[[1, 0.8], [0.8, 1]]]
     )
 
@@ -81,22 +79,20 @@ class InstrumentSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{bandwidth_nm = 4, cone_deg = 1.5}",)
 
-    bandwidth_nm: float = pydantic.Field(
+    bandwidth_nm: float = Field(
         default=0.0, ge=0.0, le=100.0, description="spectral bandwidth, full width at half maximum", examples=[4]
     )
-    cone_deg: float = pydantic.Field(
+    cone_deg: float = Field(
         default=0.0, ge=0.0, le=30.0, description="half angle of the cone of light that is averaged", examples=[1.5]
     )
-    thickness_spread_percent: float = pydantic.Field(
+    thickness_spread_percent: float = Field(
         default=0.0, ge=0.0, le=50.0,
         description="standard deviation of the thicknesses under the spot, all layers in proportion", examples=[1]
     )  # fmt: skip
-    angle_offset_deg: float = pydantic.Field(
+    angle_offset_deg: float = Field(
         default=0.0, ge=-10.0, le=10.0, description="true angle of incidence minus the stated one", examples=[0.05]
     )
-    azimuth_deg: float = pydantic.Field(
-        default=0.0, description="azimuth of the direction to the light, from u", examples=[45]
-    )
+    azimuth_deg: float = Field(default=0.0, description="azimuth of the direction to the light, from u", examples=[45])
 
 
 class GeometrySpec(RecipeModel):
@@ -104,8 +100,8 @@ class GeometrySpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ('{name = "door", at = "45as60az125.3"}',)
 
-    name: str = pydantic.Field(min_length=1, max_length=80, description="name", examples=["door"])
-    at: str = pydantic.Field(
+    name: str = Field(min_length=1, max_length=80, description="name", examples=["door"])
+    at: str = Field(
         description="geometry as in targets: IasA or IasAazZ (light from I, viewer A degrees from the mirror "
         "direction, turned about it by Z), specular T, transmitted T, diffuse T or hemispherical T",
         examples=["45as60az125.3"],
@@ -115,33 +111,33 @@ class GeometrySpec(RecipeModel):
 class StudySpec(RecipeModel):
     """Tables that a recipe of any family may hold."""
 
-    geometry: list[GeometrySpec] = pydantic.Field(
+    geometry: list[GeometrySpec] = Field(
         default=[],
         description="geometries by name, which reports, targets, fits, tolerances and sweeps know",
         examples=[[{"name": "door", "at": "45as60az125.3"}]],
     )
 
-    numbers: dict[str, float] = pydantic.Field(
+    numbers: dict[str, float] = Field(
         default={},
         description="named numbers for formulas; these also know `t`, the time of an animation: 0 at its start and in "
         "stills, 1 at its end",
         examples=[{"drain": 0.4}],
     )
-    fit: Annotated[dict[str, Any], ByPath(BoundsSpec)] = pydantic.Field(
+    fit: Annotated[dict[str, Any], ByPath(BoundsSpec)] = Field(
         default={},
         description="parameters of `nacre fit`: path of the number -> its bounds",
         examples=[{"layers[0].thickness_nm": {"min": 100, "max": 600}}],
     )
-    ties: dict[str, str] = pydantic.Field(
+    ties: dict[str, str] = Field(
         default={},
         description="numbers that a fit computes from others: path -> an expression with + - * / and paths",
         examples=[{"layers[2].thickness_nm": "layers[0].thickness_nm"}, {"layers[1].thickness_nm": "2*numbers.d + 5"}],
     )
-    instrument: InstrumentSpec = pydantic.Field(
+    instrument: InstrumentSpec = Field(
         default=InstrumentSpec(),
         description="averages and offset of the ellipsometer, for fits and `nacre ellipsometry`",
     )
-    correlation: list[CorrelationSpec] = pydantic.Field(
+    correlation: list[CorrelationSpec] = Field(
         default=[],
         description="correlation matrices of the deviations in [tolerance]",
         examples=[[{"of": ["layers[*].thickness_nm"], "matrix": [[1, 0.8], [0.8, 1]]}]],
@@ -151,7 +147,7 @@ class StudySpec(RecipeModel):
         ByPath(
             ToleranceSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}, {"type": "array"})
         ),
-    ] = pydantic.Field(
+    ] = Field(
         default={},
         description="manufacturing tolerances for `nacre tolerance`: path of the number -> a deviation, a percentage, "
         "a table, or a list of tables whose deviations add",

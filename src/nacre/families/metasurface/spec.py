@@ -13,6 +13,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import pydantic
 from numpy.typing import NDArray
+from pydantic import Field
 
 from nacre.core.errors import MaterialRangeError, UnsupportedError, did_you_mean
 from nacre.families.contract import Fabricable, Figure, OwnFormats, Writer
@@ -55,8 +56,8 @@ class LayerSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 500}',)
 
-    material: IndexSpec = pydantic.Field(description="what the layer is made of")
-    thickness_nm: Annotated[float, pydantic.Field(ge=0.0, le=MAX_THICKNESS_NM)] = pydantic.Field(
+    material: IndexSpec = Field(description="what the layer is made of")
+    thickness_nm: Annotated[float, Field(ge=0.0, le=MAX_THICKNESS_NM)] = Field(
         description="geometric thickness of the layer", examples=[500]
     )
 
@@ -67,30 +68,26 @@ class StructureSpec(RecipeModel):
     one_of: ClassVar[tuple[str, ...]] = ("name", "points", "sq")
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"enum": list(ARRANGEMENTS)},)
 
-    name: Literal["hard-disk", "rsa", "poisson-disk", "lattice"] | None = pydantic.Field(
+    name: Literal["hard-disk", "rsa", "poisson-disk", "lattice"] | None = Field(
         default=None, description="type of order; a bare name needs no table", examples=["lattice"]
     )
-    points: FileSpec | None = pydantic.Field(
+    points: FileSpec | None = Field(
         default=None,
         description="in place of name: a file of the particles' positions, in um unless it or `unit` says else, or a "
         "picture of particles (png, tif, jpg, bmp) that width_um goes with",
         examples=["xy.csv"],
     )
-    width_um: Positive | None = pydantic.Field(
-        default=None, description="width of the picture that points names", examples=[10]
-    )
-    sq: FileSpec | None = pydantic.Field(
+    width_um: Positive | None = Field(default=None, description="width of the picture that points names", examples=[10])
+    sq: FileSpec | None = Field(
         default=None, description="in place of name: a file of the structure factor S(q)", examples=["s.csv"]
     )
-    lattice: Literal["square", "hexagonal"] = pydantic.Field(
+    lattice: Literal["square", "hexagonal"] = Field(
         default="hexagonal", description='the lattice that is jittered, for name = "lattice"'
     )
-    jitter: UnitNumber = pydantic.Field(
+    jitter: UnitNumber = Field(
         default=0.1, description="standard deviation of the jitter, in units of the lattice's constant"
     )
-    seed: Annotated[int, pydantic.Field(ge=0, lt=2**32)] = pydantic.Field(
-        default=0, description="seed of the random pattern"
-    )
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = Field(default=0, description="seed of the random pattern")
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -128,23 +125,23 @@ class StructureSpec(RecipeModel):
 class MonolayerSpec(RecipeModel):
     """Particle density and order."""
 
-    coverage: Positive | None = pydantic.Field(
+    coverage: Positive | None = Field(
         json_schema_extra={"exclusiveMaximum": 0.9},
         default=None,
         description="share of the area that the particles cover: f = density pi r^2",
         examples=[0.1],
     )
-    density_per_um2: Positive | None = pydantic.Field(
+    density_per_um2: Positive | None = Field(
         default=None, description="in place of coverage: number of particles in a square micrometre", examples=[2]
     )
-    packing: Positive | None = pydantic.Field(
+    packing: Positive | None = Field(
         json_schema_extra={"maximum": PACKING_LIMIT},
         default=None,
         description="order of the particles: p = density pi a^2 / 4 with a the least distance of centres; "
         "without it p = f",
         examples=[0.3],
     )
-    structure: StructureSpec = pydantic.Field(
+    structure: StructureSpec = Field(
         default=StructureSpec(name="hard-disk"), description="kind of order: a name, or a table that leads to a file"
     )
 
@@ -172,13 +169,13 @@ class EnsembleSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{spheres = 260, realisations = 24}",)
 
-    spheres: Annotated[int, pydantic.Field(ge=20, le=1000)] = pydantic.Field(
+    spheres: Annotated[int, Field(ge=20, le=1000)] = Field(
         default=130, description="spheres of one pattern; the time grows with the cube"
     )
-    realisations: Annotated[int, pydantic.Field(ge=4, le=1000)] = pydantic.Field(
+    realisations: Annotated[int, Field(ge=4, le=1000)] = Field(
         default=48, description="patterns; the standard error falls with the root"
     )
-    multipole_order: Annotated[int, pydantic.Field(ge=1, le=4)] = pydantic.Field(
+    multipole_order: Annotated[int, Field(ge=1, le=4)] = Field(
         default=2, description="highest multipole of a sphere in the ensemble and in the model that it is set against"
     )
 
@@ -188,28 +185,28 @@ class ModelSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{tolerance = 0.005}", '{multipole_order = 6, correction = "optical-depth"}')
 
-    multipole_order: Annotated[int, pydantic.Field(ge=1, le=60)] | None = pydantic.Field(
+    multipole_order: Annotated[int, Field(ge=1, le=60)] | None = Field(
         default=None, description="highest multipole of one sphere; chosen by convergence if not given", examples=[6]
     )
-    tolerance: Annotated[float, pydantic.Field(ge=1e-5, le=MAX_TOLERANCE)] | None = pydantic.Field(
+    tolerance: Annotated[float, Field(ge=1e-5, le=MAX_TOLERANCE)] | None = Field(
         default=None,
         description="largest change of a sphere's far field when its order is doubled; beyond, the material "
         "is refused; without it 0.001 is aimed at and up to 0.01 taken with a warning",
         examples=[0.005],
     )
-    interaction_order: Annotated[int, pydantic.Field(ge=1, le=4)] = pydantic.Field(
+    interaction_order: Annotated[int, Field(ge=1, le=4)] = Field(
         default=3, description="highest multipole that neighbouring spheres exchange"
     )
     correction: Literal[
         "auto", "ensemble", "qca-balanced", "qca-ladder", "gv-balanced", "optical-depth", "in-only", "in-out", "none"
-    ] = pydantic.Field(
+    ] = Field(
         default="auto",
         description="how the balance C between neighbouring spheres is taken into account: by a mean field "
         '("qca-balanced"), which takes seconds, by that and the light that neighbours pass on ("qca-ladder"), which '
         "takes up to two seconds a wavelength and is nearer, or by solving patterns of many spheres "
         '("ensemble"), which takes minutes; "auto" takes the mean field where it was measured to hold to 12 %',
     )
-    ensemble: EnsembleSpec = pydantic.Field(default=EnsembleSpec(), description="how large an ensemble is")
+    ensemble: EnsembleSpec = Field(default=EnsembleSpec(), description="how large an ensemble is")
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,21 +253,21 @@ class MetasurfaceSpec(RecipeModel):
         "layers[].thickness_nm",
     )
 
-    family: Literal["metasurface"] = pydantic.Field(default="metasurface", description="the family's name")
-    title: str = pydantic.Field(default="", description="a title for figures", examples=["Silver on oxide"])
-    ambient: IndexSpec = pydantic.Field(
+    family: Literal["metasurface"] = Field(default="metasurface", description="the family's name")
+    title: str = Field(default="", description="a title for figures", examples=["Silver on oxide"])
+    ambient: IndexSpec = Field(
         default=IndexSpec.model_validate("air"), description="clear medium above, where the light comes from"
     )
-    substrate: IndexSpec = pydantic.Field(description="medium below the layers: denser than the ambient, or absorbing")
-    layers: tuple[LayerSpec, ...] = pydantic.Field(
+    substrate: IndexSpec = Field(description="medium below the layers: denser than the ambient, or absorbing")
+    layers: tuple[LayerSpec, ...] = Field(
         default=(), max_length=50, description="layers between the particles and the substrate, from the top"
     )
-    particle: ParticleSpec = pydantic.Field(description="the particles")
-    monolayer: MonolayerSpec = pydantic.Field(description="density and order of the particles")
-    model: ModelSpec = pydantic.Field(
+    particle: ParticleSpec = Field(description="the particles")
+    monolayer: MonolayerSpec = Field(description="density and order of the particles")
+    model: ModelSpec = Field(
         default=ModelSpec(), description="details of the computation, where its own choice is not wanted"
     )
-    extrapolate: Literal["error", "edge"] = pydantic.Field(
+    extrapolate: Literal["error", "edge"] = Field(
         default="error",
         description="outside the tabulated range of an optical constant: refuse, or hold the end values",
     )

@@ -17,6 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
+from pydantic import Field
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import MaterialRangeError, UnsupportedError
@@ -496,7 +497,7 @@ ALIGNED = 'write orientation = "aligned", and turn_deg for the angle by which al
 OTHER_WORDS = dict.fromkeys(  # plausible unknown keys, and what to write instead
     ("orientation_deg", "turn", "rotation", "rotation_deg", "azimuth_deg", "aligned"), ALIGNED
 )
-Extent = Annotated[float, pydantic.Field(ge=2 * SMALLEST_CORE_NM, le=2 * CORE_LIMIT_NM)]
+Extent = Annotated[float, Field(ge=2 * SMALLEST_CORE_NM, le=2 * CORE_LIMIT_NM)]
 
 
 class ShellSpec(RecipeModel):
@@ -504,8 +505,8 @@ class ShellSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 10}',)
 
-    material: IndexSpec = pydantic.Field(description="what the shell is made of")
-    thickness_nm: Annotated[float, pydantic.Field(gt=0.0, le=CORE_LIMIT_NM)] = pydantic.Field(
+    material: IndexSpec = Field(description="what the shell is made of")
+    thickness_nm: Annotated[float, Field(gt=0.0, le=CORE_LIMIT_NM)] = Field(
         description="thickness of the shell, the same all over, from the core outward: twice as much is added to "
         "diameter_nm and height_nm, once to radius_nm",
         examples=[10],
@@ -518,69 +519,67 @@ class SpeciesSpec(RecipeModel):
     table: ClassVar[str] = "particle"  # recipe table
     one_of: ClassVar[tuple[str, ...]] = ("material", "tmatrix")
 
-    material: IndexSpec | None = pydantic.Field(
+    material: IndexSpec | None = Field(
         default=None, description="what the particle, or its core, is made of", examples=["Ag"]
     )
-    radius_nm: Annotated[float, pydantic.Field(ge=SMALLEST_CORE_NM, le=CORE_LIMIT_NM)] | None = pydantic.Field(
+    radius_nm: Annotated[float, Field(ge=SMALLEST_CORE_NM, le=CORE_LIMIT_NM)] | None = Field(
         default=None, description="mean radius of the core of a sphere", examples=[90]
     )
-    shape: Literal["sphere", "cylinder", "spheroid"] = pydantic.Field(
+    shape: Literal["sphere", "cylinder", "spheroid"] = Field(
         default="sphere", description="form; the axis of a cylinder (disc or rod) or a spheroid is the normal"
     )
-    deviation_nm: NotNegative = pydantic.Field(
+    deviation_nm: NotNegative = Field(
         default=0.0,
         description="standard deviation of the radius, of a cylinder or spheroid of half its width (the height stays); "
         "at most 0.3 of it",
         examples=[5],
     )
-    distribution: Literal["gaussian", "lognormal"] = pydantic.Field(
-        default="gaussian", description="shape of that spread"
-    )
-    gap_nm: NotNegative = pydantic.Field(
+    distribution: Literal["gaussian", "lognormal"] = Field(default="gaussian", description="shape of that spread")
+    gap_nm: NotNegative = Field(
         default=0.0, description="distance between the particles and the stack below them", examples=[2]
     )
-    depth_nm: NotNegative | None = pydantic.Field(
+    depth_nm: NotNegative | None = Field(
         default=None,
         description="in place of gap_nm: the particles lie inside a layer, which is clear and holds them whole, their "
         "tops (of the mean size) this far below the top of the layers",
         examples=[100],
     )
-    shell: ShellSpec | None = pydantic.Field(
+    shell: ShellSpec | None = Field(
         default=None,
         description="a coat round the core, round about a cylinder's edges; gap_nm and depth_nm are of its outside",
     )
-    tmatrix: str | None = pydantic.Field(
+    tmatrix: str | None = Field(
         default=None,
         description="in place of material and radius_nm: a file of T-matrices of a particle, axis z, "
         "as programs exchange them (arXiv:2408.10727); or a folder or pattern of files at several wavelengths",
         examples=["disc.tmat.h5"],
     )
-    diameter_nm: Extent | None = pydantic.Field(
+    diameter_nm: Extent | None = Field(
         default=None,
         description="width of a cylinder or spheroid (of its core); or of what tmatrix describes, if its file does "
         "not say",
         examples=[120],
     )
-    height_nm: Extent | None = pydantic.Field(
+    height_nm: Extent | None = Field(
         default=None,
         description="height of a cylinder or spheroid (of its core); or of what tmatrix describes, if its file does "
         "not say",
         examples=[80],
     )
 
-    edge_radius_nm: NotNegative = pydantic.Field(
+    edge_radius_nm: NotNegative = Field(
         default=0.0,
         description="radius of the edges of a cylinder (of its core), which are sharp at 0; at most half of the "
         "cylinder's radius and a quarter of its height",
         examples=[2],
     )
 
-    orientation: Literal["averaged", "aligned"] = pydantic.Field(
+    orientation: Literal["averaged", "aligned"] = Field(
         default="averaged",
         description="of a particle of tmatrix that is not axisymmetric: the mean over its turn about the normal, or "
         "all point one way, the file's x along the surface's u",
     )
-    turn_deg: Annotated[float, pydantic.Field(ge=-360.0, le=360.0)] = pydantic.Field(
+    turn_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = Field(
         default=0.0,
         description="angle by which aligned particles are turned about the normal, from u towards v",
         examples=[30],
@@ -770,7 +769,7 @@ class SecondSpeciesSpec(SpeciesSpec):
     table: ClassVar[str] = "particle.second"
     forms: ClassVar[tuple[str, ...]] = ('{material = "Ag", radius_nm = 50, share = 0.3}',)
 
-    share: Annotated[float, pydantic.Field(gt=0.0, lt=1.0)] = pydantic.Field(
+    share: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
         description="number of these particles over that of all", examples=[0.3]
     )
 
@@ -783,9 +782,7 @@ class ParticleSpec(SpeciesSpec):
         '{material = "Si", radius_nm = 75, second = {material = "Ag", radius_nm = 50, share = 0.3}}',
     )
 
-    second: SecondSpeciesSpec | None = pydantic.Field(
-        default=None, description="second species of particles in a mixture"
-    )
+    second: SecondSpeciesSpec | None = Field(default=None, description="second species of particles in a mixture")
 
     def model_post_init(self, _: Any) -> None:
         super().model_post_init(_)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
+from pydantic import Field
 
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import size_of
@@ -62,11 +63,11 @@ class DrudeSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{plasma_ev = 9.0, damping_ev = 0.07, eps_inf = 4.0}",)
 
-    plasma_ev: Positive = pydantic.Field(description="plasma energy of the free carriers, in eV", examples=[9.0])
-    damping_ev: NotNegative = pydantic.Field(
+    plasma_ev: Positive = Field(description="plasma energy of the free carriers, in eV", examples=[9.0])
+    damping_ev: NotNegative = Field(
         default=0.0, description="collision energy of the free carriers, in eV", examples=[0.07]
     )
-    eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background", examples=[4.0])
+    eps_inf: Positive = Field(default=1.0, description="permittivity of the background", examples=[4.0])
 
 
 class OscillatorSpec(RecipeModel):
@@ -74,20 +75,20 @@ class OscillatorSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{strength = 0.05, resonance_ev = 2.2, damping_ev = 0.3}",)
 
-    strength: NotNegative = pydantic.Field(
+    strength: NotNegative = Field(
         description="oscillator strength: its contribution to the static permittivity", examples=[0.05]
     )
-    resonance_ev: Positive = pydantic.Field(description="energy of the resonance, in eV", examples=[2.2])
-    damping_ev: NotNegative = pydantic.Field(default=0.0, description="width of the resonance, in eV", examples=[0.3])
+    resonance_ev: Positive = Field(description="energy of the resonance, in eV", examples=[2.2])
+    damping_ev: NotNegative = Field(default=0.0, description="width of the resonance, in eV", examples=[0.3])
 
 
 class LorentzSpec(RecipeModel):
     """Bound oscillators on a constant background `eps_inf`; if `drude` is also given, leave its `eps_inf` at 1."""
 
-    oscillators: tuple[OscillatorSpec, ...] = pydantic.Field(
+    oscillators: tuple[OscillatorSpec, ...] = Field(
         min_length=1, max_length=50, description="the bound oscillators, a list of tables"
     )
-    eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background")
+    eps_inf: Positive = Field(default=1.0, description="permittivity of the background")
 
 
 class IndexSpec(RecipeModel):
@@ -111,105 +112,103 @@ class IndexSpec(RecipeModel):
         {"type": "number", "minimum": 0, "description": "a constant index"},
     )
 
-    name: str | None = pydantic.Field(
+    name: str | None = Field(
         default=None,
         description="a named optical constant, see `nacre indices search`; written alone it needs no table",
         examples=["SiO2"],
     )
-    n: NotNegative | None = pydantic.Field(
+    n: NotNegative | None = Field(
         default=None, description="a constant refractive index; written alone it needs no table", examples=[1.5]
     )
-    k: float | None = pydantic.Field(
+    k: float | None = Field(
         json_schema_extra={"minimum": 0},
         default=None,
         description="the extinction coefficient beside n; waves decay for k > 0",
         examples=[0.06],
     )
-    cauchy: tuple[float, ...] | None = pydantic.Field(
+    cauchy: tuple[float, ...] | None = Field(
         default=None,
         min_length=1,
         max_length=10,
         description="coefficients c0, c1, ... of n = c0 + c1/l^2 + c2/l^4 ..., wavelength l in um",
         examples=[[1.45, 0.004]],
     )
-    sellmeier: tuple[float, ...] | None = pydantic.Field(
+    sellmeier: tuple[float, ...] | None = Field(
         default=None,
         min_length=2,
         max_length=20,
         description="pairs b1, c1, b2, c2, ... of n^2 = 1 + sum b l^2/(l^2 - c), wavelength l in um",
         examples=[[1.0396, 0.006, 0.2318, 0.02]],
     )
-    n_d: Positive | None = pydantic.Field(
+    n_d: Positive | None = Field(
         default=None,
         description="refractive index at the d line (587.6 nm), with the Abbe number beside it",
         examples=[1.575],
     )
-    abbe: Positive | None = pydantic.Field(default=None, description="Abbe number beside n_d", examples=[30])
-    drude: DrudeSpec | None = pydantic.Field(default=None, description="free carriers, alone or beside lorentz")
-    lorentz: LorentzSpec | None = pydantic.Field(default=None, description="bound oscillators, alone or beside drude")
-    tauc_lorentz: TaucLorentzSpec | None = pydantic.Field(default=None, description="bands above a gap, by Tauc")
-    cody_lorentz: CodyLorentzSpec | None = pydantic.Field(default=None, description="bands above a gap, by Cody")
-    gaussian: GaussianSpec | None = pydantic.Field(default=None, description="Gaussian absorption bands")
-    brendel_bormann: BrendelBormannSpec | None = pydantic.Field(
+    abbe: Positive | None = Field(default=None, description="Abbe number beside n_d", examples=[30])
+    drude: DrudeSpec | None = Field(default=None, description="free carriers, alone or beside lorentz")
+    lorentz: LorentzSpec | None = Field(default=None, description="bound oscillators, alone or beside drude")
+    tauc_lorentz: TaucLorentzSpec | None = Field(default=None, description="bands above a gap, by Tauc")
+    cody_lorentz: CodyLorentzSpec | None = Field(default=None, description="bands above a gap, by Cody")
+    gaussian: GaussianSpec | None = Field(default=None, description="Gaussian absorption bands")
+    brendel_bormann: BrendelBormannSpec | None = Field(
         default=None, description="oscillators with a Gaussian spread of the resonance"
     )
-    b_spline: BSplineSpec | None = pydantic.Field(
+    b_spline: BSplineSpec | None = Field(
         default=None, description="imaginary permittivity as a spline, the real part by Kramers-Kronig"
     )
-    urbach: UrbachSpec | None = pydantic.Field(
+    urbach: UrbachSpec | None = Field(
         default=None, description="an exponential absorption edge beside n, cauchy, sellmeier or n_d"
     )
-    mix: tuple[IndexSpec, ...] | None = pydantic.Field(
+    mix: tuple[IndexSpec, ...] | None = Field(
         default=None,
         min_length=2,
         max_length=10,
         description="materials mixed far below the wavelength; of maxwell-garnett the first is the host",
         examples=[["TiO2", "air"]],
     )
-    volume_fractions: tuple[UnitNumber, ...] | None = pydantic.Field(
+    volume_fractions: tuple[UnitNumber, ...] | None = Field(
         default=None,
         min_length=1,
         max_length=10,
         description="volume fractions of the mixed materials, in sum 1; the last may be left out and fills the rest",
         examples=[[0.8, 0.2]],
     )
-    model: Literal["bruggeman", "maxwell-garnett", "looyenga", "lichtenecker"] | None = pydantic.Field(
+    model: Literal["bruggeman", "maxwell-garnett", "looyenga", "lichtenecker"] | None = Field(
         default=None, description="effective-medium model of the mixture; default: bruggeman", examples=["bruggeman"]
     )
-    depolarisation: (
-        UnitNumber | Annotated[tuple[UnitNumber, ...], pydantic.Field(min_length=3, max_length=3)] | None
-    ) = pydantic.Field(
+    depolarisation: UnitNumber | Annotated[tuple[UnitNumber, ...], Field(min_length=3, max_length=3)] | None = Field(
         default=None,
         description="depolarisation factors of randomly oriented ellipsoids, three in sum 1, or one factor of aligned "
         "ellipsoids along the field; default: spheres, 1/3",
         examples=[[0.2, 0.4, 0.4], 0.5],
     )
-    file: str | None = pydantic.Field(
+    file: str | None = Field(
         default=None,
         description="a file beside the recipe with n and k, or e1 and e2, over wavelength or energy: a text table, or "
         "a file of WVASE, Zemax, Mitsuba, or refractiveindex.info (.yml)",
         examples=["nk.csv"],
     )
-    rii: str | None = pydantic.Field(
+    rii: str | None = Field(
         default=None,
         description="an entry of the refractiveindex.info database: shelf/book/page",
         examples=["main/Ag/Johnson"],
     )
-    columns: tuple[str, ...] = pydantic.Field(
+    columns: tuple[str, ...] = Field(
         default=(),
         description='beside file: what its columns are, one name each, where no heading says it; "-" leaves one out',
         examples=[["energy_eV", "e1", "e2"]],
     )
-    ignore: tuple[str, ...] = pydantic.Field(
+    ignore: tuple[str, ...] = Field(
         default=(), description="beside file: headings of columns that are left out", examples=[["batch"]]
     )
-    unit: str | None = pydantic.Field(
+    unit: str | None = Field(
         default=None, description="beside file: unit of its wavelengths or energies, if it names none", examples=["um"]
     )
-    spectrum: str | None = pydantic.Field(
+    spectrum: str | None = Field(
         default=None, description="beside file: name or number of one of its materials", examples=["SIO2"]
     )
-    extrapolate: Literal["error", "edge"] = pydantic.Field(
+    extrapolate: Literal["error", "edge"] = Field(
         default="error", description="outside the tabulated range: an error, or the end values"
     )
 
@@ -505,17 +504,17 @@ class BandSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{amplitude_ev = 100, resonance_ev = 4.0, damping_ev = 1.8}",)
 
-    amplitude_ev: NotNegative = pydantic.Field(description="strength A of the band, in eV", examples=[100])
-    resonance_ev: Positive = pydantic.Field(description="energy of the resonance, in eV", examples=[4.0])
-    damping_ev: Positive = pydantic.Field(description="width of the resonance, in eV", examples=[1.8])
+    amplitude_ev: NotNegative = Field(description="strength A of the band, in eV", examples=[100])
+    resonance_ev: Positive = Field(description="energy of the resonance, in eV", examples=[4.0])
+    damping_ev: Positive = Field(description="width of the resonance, in eV", examples=[1.8])
 
 
 class TaucLorentzSpec(RecipeModel):
     """Tauc-Lorentz bands (Jellison & Modine 1996) with one gap, on a constant `eps_inf`."""
 
-    gap_ev: NotNegative = pydantic.Field(description="gap, below which nothing is absorbed, in eV", examples=[1.6])
-    oscillators: tuple[BandSpec, ...] = pydantic.Field(min_length=1, max_length=20, description="the bands")
-    eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background")
+    gap_ev: NotNegative = Field(description="gap, below which nothing is absorbed, in eV", examples=[1.6])
+    oscillators: tuple[BandSpec, ...] = Field(min_length=1, max_length=20, description="the bands")
+    eps_inf: Positive = Field(default=1.0, description="permittivity of the background")
 
     def terms(self) -> tuple[Term, ...]:
         """Return the bands."""
@@ -525,16 +524,16 @@ class TaucLorentzSpec(RecipeModel):
 class CodyLorentzSpec(RecipeModel):
     """Cody-Lorentz bands (Ferlauto et al. 2002) with one gap and an Urbach tail, on a constant `eps_inf`."""
 
-    gap_ev: NotNegative = pydantic.Field(description="gap, in eV", examples=[1.6])
-    transition_ev: Positive = pydantic.Field(
+    gap_ev: NotNegative = Field(description="gap, in eV", examples=[1.6])
+    transition_ev: Positive = Field(
         description="energy above the gap at which Lorentzian absorption takes over, in eV", examples=[1.0]
     )
-    tail_start_ev: NotNegative = pydantic.Field(
+    tail_start_ev: NotNegative = Field(
         default=0.0, description="energy below which absorption falls exponentially, in eV; 0: no tail", examples=[1.8]
     )
-    tail_ev: Positive = pydantic.Field(default=0.05, description="Urbach energy of the tail, in eV")
-    oscillators: tuple[BandSpec, ...] = pydantic.Field(min_length=1, max_length=20, description="the bands")
-    eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background")
+    tail_ev: Positive = Field(default=0.05, description="Urbach energy of the tail, in eV")
+    oscillators: tuple[BandSpec, ...] = Field(min_length=1, max_length=20, description="the bands")
+    eps_inf: Positive = Field(default=1.0, description="permittivity of the background")
 
     def model_post_init(self, _: Any) -> None:
         if 0.0 < self.tail_start_ev <= self.gap_ev:
@@ -551,16 +550,16 @@ class PeakSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{amplitude = 2.0, resonance_ev = 3.0, width_ev = 0.4}",)
 
-    amplitude: NotNegative = pydantic.Field(description="height of the imaginary permittivity", examples=[2.0])
-    resonance_ev: Positive = pydantic.Field(description="energy of the band, in eV", examples=[3.0])
-    width_ev: Positive = pydantic.Field(description="full width at half maximum, in eV", examples=[0.4])
+    amplitude: NotNegative = Field(description="height of the imaginary permittivity", examples=[2.0])
+    resonance_ev: Positive = Field(description="energy of the band, in eV", examples=[3.0])
+    width_ev: Positive = Field(description="full width at half maximum, in eV", examples=[0.4])
 
 
 class GaussianSpec(RecipeModel):
     """Gaussian absorption bands with their Kramers-Kronig partner, on a constant `eps_inf`."""
 
-    oscillators: tuple[PeakSpec, ...] = pydantic.Field(min_length=1, max_length=50, description="the bands")
-    eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background")
+    oscillators: tuple[PeakSpec, ...] = Field(min_length=1, max_length=50, description="the bands")
+    eps_inf: Positive = Field(default=1.0, description="permittivity of the background")
 
     def terms(self) -> tuple[Term, ...]:
         """Return the bands."""
@@ -572,21 +571,19 @@ class SpreadOscillatorSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{strength = 0.5, resonance_ev = 2.5, damping_ev = 0.2, spread_ev = 0.3}",)
 
-    strength: NotNegative = pydantic.Field(
+    strength: NotNegative = Field(
         description="oscillator strength: its contribution to the static permittivity", examples=[0.5]
     )
-    resonance_ev: Positive = pydantic.Field(description="mean energy of the resonance, in eV", examples=[2.5])
-    damping_ev: NotNegative = pydantic.Field(default=0.0, description="width of the resonance, in eV", examples=[0.2])
-    spread_ev: Positive = pydantic.Field(description="standard deviation of the resonance, in eV", examples=[0.3])
+    resonance_ev: Positive = Field(description="mean energy of the resonance, in eV", examples=[2.5])
+    damping_ev: NotNegative = Field(default=0.0, description="width of the resonance, in eV", examples=[0.2])
+    spread_ev: Positive = Field(description="standard deviation of the resonance, in eV", examples=[0.3])
 
 
 class BrendelBormannSpec(RecipeModel):
     """Brendel-Bormann oscillators on a constant `eps_inf`."""
 
-    oscillators: tuple[SpreadOscillatorSpec, ...] = pydantic.Field(
-        min_length=1, max_length=50, description="the oscillators"
-    )
-    eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background")
+    oscillators: tuple[SpreadOscillatorSpec, ...] = Field(min_length=1, max_length=50, description="the oscillators")
+    eps_inf: Positive = Field(default=1.0, description="permittivity of the background")
 
     def terms(self) -> tuple[Term, ...]:
         """Return the oscillators."""
@@ -596,19 +593,19 @@ class BrendelBormannSpec(RecipeModel):
 class BSplineSpec(RecipeModel):
     """Imaginary permittivity as a cubic B-spline over energy; the real part follows by Kramers-Kronig."""
 
-    knots_ev: tuple[Positive, ...] = pydantic.Field(
+    knots_ev: tuple[Positive, ...] = Field(
         min_length=4,
         max_length=200,
         description="ascending energies of the knots, in eV",
         examples=[[2.5, 3.5, 4.5, 5.5]],
     )
-    values: tuple[NotNegative, ...] = pydantic.Field(
+    values: tuple[NotNegative, ...] = Field(
         min_length=4,
         max_length=200,
         description="coefficients of the spline at the knots",
         examples=[[0, 0.1, 1.2, 2.0]],
     )
-    eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background")
+    eps_inf: Positive = Field(default=1.0, description="permittivity of the background")
 
     def model_post_init(self, _: Any) -> None:
         if len(self.knots_ev) != len(self.values):
@@ -628,6 +625,6 @@ class UrbachSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{amplitude = 0.1, energy_ev = 0.15, edge_ev = 3.4}",)
 
-    amplitude: NotNegative = pydantic.Field(description="k at the edge", examples=[0.1])
-    energy_ev: Positive = pydantic.Field(description="Urbach energy: k grows by e over it, in eV", examples=[0.15])
-    edge_ev: Positive = pydantic.Field(description="photon energy of the edge, in eV", examples=[3.4])
+    amplitude: NotNegative = Field(description="k at the edge", examples=[0.1])
+    energy_ev: Positive = Field(description="Urbach energy: k grows by e over it, in eV", examples=[0.15])
+    edge_ev: Positive = Field(description="photon energy of the edge, in eV", examples=[3.4])
