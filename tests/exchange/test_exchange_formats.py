@@ -6,10 +6,13 @@ import struct
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 from read_back import read_slice
 
 import nacre
+from nacre.analysis.import_export import export_material
+from nacre.bsdf.lobes.orders import OrdersLobe
 from nacre.bsdf.lobes.table import from_half_difference, half_difference
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
@@ -357,3 +360,19 @@ def test_the_zero_order_of_a_grating_is_not_lost() -> None:
     assert bsdf.lobes[0].kind == "aligned-specular"
     lost = thin_film._lost(material, bsdf, thin_film.ThinFilm(100.0, 1.5))
     assert not any("aligned" in line for line in lost)
+
+
+def test_colours_of_narrow_orders_do_not_depend_on_the_wavelength_step(tmp_path: Path) -> None:
+    """Lines of 3 nm and more: wavelengths 1 nm apart resolve them, 20 nm do not."""
+    lattice, pictures = np.array([[1.0 / 900.0, 0.0], [0.0, 0.0]]), []
+    for step in (1.0, 20.0):
+        grid = np.arange(380.0, 781.0, step)
+        table = np.full((2, 2, 2, len(grid)), 0.1, dtype=np.float32)
+        bsdf = nacre.Bsdf((OrdersLobe(grid, table, lattice, np.array([[-1, 0], [1, 0]]), 0.01),))
+        bsdf.save(tmp_path / f"{step:g}.nacre")
+        found = export_material(nacre.load(tmp_path / f"{step:g}.nacre"), "exr", tmp_path / f"{step:g}.exr")
+        assert any("nm apart" in each for each in found["lost"]) == (step == 20.0)
+        pictures.append(OpenEXR.File(str(tmp_path / f"{step:g}.exr")).channels()["RGB"].pixels.astype(float))
+    bright = pictures[0].max(axis=-1) > 0.1 * pictures[0].max()
+    assert bright.sum() > 100
+    np.testing.assert_allclose(pictures[1][bright], pictures[0][bright], atol=0.02 * pictures[0].max())

@@ -4,6 +4,7 @@ The package for three.js holds the colour table, and colours under uniform light
 """
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from nacre.formats.number_maps import GREY, write_png_stream
 from nacre.formats.scene_files import Cover, Part, materialx_document, write_gltf, write_materialx, write_usd
 from nacre.light import default_wavelengths
 from nacre.material.material import MAX_EXCESS, Material, MaterialLike, as_material, material_from_data
+from nacre.measure.evaluate import tristimulus_of_pairs
 from nacre.readers.bsdf import databases
 from nacre.readers.bsdf.ray_tracers import read_zemax_table
 from nacre.readers.measurement import ReadOptions
@@ -99,6 +101,7 @@ def export_material(
             f"{material.context.source}: is a random walk, and a file of kind {target} holds values; give it "
             'quality = "fast" where the family has that (--set quality=fast), or export a lut'
         )
+    colours = _line_colours(bsdf)
     if target == "nacre":
         bsdf.save(path)
     elif target == "rgl":
@@ -106,10 +109,10 @@ def export_material(
     elif target == "merl":
         if not bsdf_tables.is_isotropic(bsdf):
             facts["lost"].append("anisotropy: MERL holds isotropic materials, phi = 0 was taken")
-        bsdf_tables.write_merl(path, bsdf_tables.merl_table(bsdf))
+        bsdf_tables.write_merl(path, bsdf_tables.merl_table(bsdf, colours=colours))
         facts["lost"] += ["the spectrum: MERL holds linear RGB"] + bsdf_tables.lost_parts(bsdf)
     elif target == "zemax":
-        bsdf_tables.write_zemax(path, bsdf_tables.zemax_table(bsdf, wavelength_nm), comment)
+        bsdf_tables.write_zemax(path, bsdf_tables.zemax_table(bsdf, wavelength_nm, colours=colours), comment)
         facts["lost"] = bsdf_tables.lost_parts(bsdf)
     elif target == "csv":
         measured_lobes.write_gonio_csv(path, bsdf_tables.gonio_grid(bsdf, angle_step_deg), comment)
@@ -117,9 +120,15 @@ def export_material(
     elif target in ("astm", "brdf-json", "speos"):
         facts["lost"] = _export_measured(bsdf, target, path, angle_step_deg, material.name, comment)
     elif target == "exr":
-        bsdf_tables.write_slice(path, bsdf, comment)
+        bsdf_tables.write_slice(path, bsdf, comment, colours)
         facts["lost"] = ["all but one slice over (theta_half, theta_diff)"] + bsdf_tables.lost_parts(bsdf)
-    return facts
+    return facts | {"lost": facts["lost"] + bsdf_tables.lines_lost(bsdf, target)}
+
+
+def _line_colours(bsdf: Bsdf) -> bsdf_tables.Colours | None:
+    """Return the colours of narrow orders, integrated over wavelength; None for other materials."""
+    is_narrow = bool(bsdf_tables.narrow_lost(bsdf))
+    return functools.partial(tristimulus_of_pairs, bsdf, illuminant="D65") if is_narrow else None
 
 
 def _export_tmatrix(material: Material, path: Path, comment: str) -> list[str]:

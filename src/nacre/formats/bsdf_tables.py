@@ -7,7 +7,7 @@ Three int32 sizes (90, 90, 180), then three planes of float64: red, green, blue,
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from nacre.readers.bsdf import databases
 from nacre.readers.bsdf.databases import SHAPE, RglBsdf, Warp
 from nacre.readers.bsdf.ray_tracers import CHANNELS, ZemaxBsdf, scatter_direction
 
+SPECTRAL = ("rgl", "csv", "astm", "brdf-json", "speos", "exr")  # formats with samples over wavelength
 MIN_COS = 1e-4  # bins below the horizon are 0
 
 
@@ -36,8 +37,15 @@ def bin_directions() -> tuple[Array, Array]:
     return from_half_difference(*databases.bin_angles())
 
 
-def merl_table(bsdf: Bsdf, block: int = 1 << 16) -> Array:
+Colours = Callable[[Array, Array], Array]  # XYZ under D65 of direction pairs, finer over wavelength than the Bsdf
+
+
+def merl_table(bsdf: Bsdf, block: int = 1 << 16, colours: Colours | None = None) -> Array:
     """Return the linear sRGB reflectance (white under D65 is 1, 1, 1) in MERL's bins, `[half, diff, phi, 3]`.
+
+    Args:
+        block: pairs at once.
+        colours: for narrow orders.
 
     Raises:
         UnsupportedError: nothing but deltas, or a stochastic lobe.
@@ -48,6 +56,9 @@ def merl_table(bsdf: Bsdf, block: int = 1 << 16) -> Array:
     table = np.zeros((len(wi), 3))
     for start in range(0, len(up), block):
         some = up[start : start + block]
+        if colours is not None:
+            table[some] = xyz_to_srgb_linear(colours(wi[some], wo[some]))
+            continue
         table[some] = spectrum_to_rgb_linear(bsdf.evaluate(wi[some], wo[some]), bsdf.wavelengths_nm)
     return table.reshape(*SHAPE, 3)
 
@@ -92,6 +103,14 @@ def read_merl_filled(path: str | Path) -> tuple[Array, list[str]]:
 SIZE = 90
 
 
+def _slice_pairs(size: int) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return the directions of the slice's pixels, and which of them lie above the surface."""
+    angle = (np.arange(size) + 0.5) / size * (np.pi / 2)
+    half, diff = np.meshgrid(angle, angle)
+    wi, wo = from_half_difference(half, diff, np.full_like(half, np.pi / 2))
+    return wi, wo, (wi[..., 2] > 0) & (wo[..., 2] > 0)
+
+
 def slice_values(bsdf: Bsdf, size: int = SIZE) -> Array:
     """Return f over (theta_diff, theta_half), `[size, size, wavelength]`, theta_half by column, at cell centres.
 
@@ -99,17 +118,17 @@ def slice_values(bsdf: Bsdf, size: int = SIZE) -> Array:
         UnsupportedError: nothing but deltas, or a stochastic lobe.
     """
     refuse_unsuitable(bsdf, "an EXR slice")
-    angle = (np.arange(size) + 0.5) / size * (np.pi / 2)
-    half, diff = np.meshgrid(angle, angle)
-    wi, wo = from_half_difference(half, diff, np.full_like(half, np.pi / 2))
-    up = (wi[..., 2] > 0) & (wo[..., 2] > 0)
+    wi, wo, up = _slice_pairs(size)
     values = np.zeros((size, size, len(bsdf.wavelengths_nm)))
     values[up] = bsdf.evaluate(wi[up], wo[up])
     return values
 
 
-def write_slice(path: str | Path, bsdf: Bsdf, comment: str = "") -> None:
+def write_slice(path: str | Path, bsdf: Bsdf, comment: str = "", colours: Colours | None = None) -> None:
     """Write the slice as float32 EXR.
+
+    Args:
+        colours: for narrow orders.
 
     Raises:
         UnsupportedError: as `slice_values`.
@@ -119,6 +138,9 @@ def write_slice(path: str | Path, bsdf: Bsdf, comment: str = "") -> None:
 
     values = slice_values(bsdf)
     rgb = np.asarray(spectrum_to_rgb_linear(values, bsdf.wavelengths_nm))
+    if colours is not None:
+        wi, wo, up = _slice_pairs(len(values))
+        rgb[up] = xyz_to_srgb_linear(colours(wi[up], wo[up]))
     channels = {name: np.ascontiguousarray(rgb[..., i], np.float32) for i, name in enumerate("RGB")}
     for i, wavelength in enumerate(bsdf.wavelengths_nm):
         name = f"S0.{wavelength:.6f}nm".replace(".", ",").replace("S0,", "S0.")
@@ -142,12 +164,15 @@ def write_slice(path: str | Path, bsdf: Bsdf, comment: str = "") -> None:
 # are plane-symmetrical: azimuths 0 to 180 degrees, one sample rotation.
 
 
-def zemax_table(bsdf: Bsdf, wavelength_nm: float | None = None, step_deg: float = 5.0) -> ZemaxBsdf:
+def zemax_table(
+    bsdf: Bsdf, wavelength_nm: float | None = None, step_deg: float = 5.0, colours: Colours | None = None
+) -> ZemaxBsdf:
     """Tabulate the reflected, non-delta part of a Bsdf.
 
     Args:
         wavelength_nm: one wavelength for a monochrome file; default: XYZ under D65.
         step_deg: step for incidence and azimuth; radial angles are finer near the specular direction.
+        colours: for narrow orders.
 
     Raises:
         UnsupportedError: nothing but deltas, a stochastic lobe, or a wavelength outside the Bsdf's grid.
@@ -160,10 +185,12 @@ def zemax_table(bsdf: Bsdf, wavelength_nm: float | None = None, step_deg: float 
     wo = scatter_direction(i, a, r)
     wi = np.broadcast_to(_light(i), wo.shape)
     up = wo[..., 2] > 1e-4
-    f = bsdf.evaluate(wi[up], wo[up])
-    if wavelength_nm is None:
-        channels = np.asarray(spectrum_to_xyz(f, bsdf.wavelengths_nm))
+    if wavelength_nm is None and colours is not None:
+        channels = colours(wi[up], wo[up])
+    elif wavelength_nm is None:
+        channels = np.asarray(spectrum_to_xyz(bsdf.evaluate(wi[up], wo[up]), bsdf.wavelengths_nm))
     else:
+        f = bsdf.evaluate(wi[up], wo[up])
         grid = bsdf.wavelengths_nm
         if not grid[0] <= wavelength_nm <= grid[-1]:
             raise UnsupportedError(f"wavelength {wavelength_nm:g} nm is outside {grid[0]:g} to {grid[-1]:g} nm")
@@ -229,6 +256,15 @@ def narrow_lost(bsdf: Bsdf) -> list[str]:
     """Return the remark on diffraction orders, whose width a grid of directions does not resolve."""
     widths = [np.degrees(lobe.width) for lobe in bsdf.lobes if isinstance(lobe, OrdersLobe)]
     return [f"orders {min(widths):.2g} degrees wide between the directions of the file's grid"] if widths else []
+
+
+def lines_lost(bsdf: Bsdf, target: str) -> list[str]:
+    """Return the remark on lines of orders between the wavelengths of a spectral file."""
+    if target not in SPECTRAL:
+        return []
+    line = min((lobe.line_nm for lobe in bsdf.lobes if isinstance(lobe, OrdersLobe)), default=np.inf)
+    step = float(np.diff(bsdf.wavelengths_nm).max(initial=0.0))
+    return [f"lines of orders, {line:.2g} nm wide, between wavelengths {step:g} nm apart"] if step > line else []
 
 
 def unresolved_lost(bsdf: Bsdf) -> list[str]:
