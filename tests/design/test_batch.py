@@ -39,7 +39,7 @@ def test_an_empty_list_has_no_solutions(none: Any) -> None:
     [
         ([(50, 0, 0), (40, float("nan"), 2)], r"labs\[1\] = \[40.0, nan, 2.0\] should hold finite numbers"),
         ([(50, 0)], r"should be \[n, 3\]"),
-        ([(-1, 0, 0)], r"labs\[0\] .* is no colour"),
+        ([(-1, 0, 0)], r"labs\[0\] .* is not a colour"),
     ],
 )
 def test_bad_colours_are_named(labs: Any, says: str) -> None:

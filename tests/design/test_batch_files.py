@@ -66,7 +66,7 @@ def test_a_row_may_contain_a_colour_per_target(tmp_path: Path) -> None:
         ("50,20\n", r'l.csv: line 1: "50, 20" should hold L, a, b'),
         ("name,L,a,b\n\n# r\nred,50,20\n", r"l.csv: line 4: .* has 3 cells, fewer"),
         ("red,50,20,nan\n", r'l.csv: line 1: "nan" is not a number'),
-        ("red,-5,20,1\n", r"l.csv: line 1 = .* is no colour"),
+        ("red,-5,20,1\n", r"l.csv: line 1 = .* is not a colour"),
         ("U,V,W\n1,2,3\n", r"l.csv: .*U"),
         ("L,a,b\n", r"l.csv: contains no colours"),
         ("", r"l.csv: contains no colours"),

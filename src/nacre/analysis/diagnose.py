@@ -32,16 +32,16 @@ from nacre.measure.geometry import Geometry
 from nacre.optimise.methods.least_squares import sobol_points
 from nacre.optimise.tolerances import Component, Tolerance, components, values_at
 
-SCAN = np.linspace(-4.0, 4.0, 17)  # of a single cause, in prior standard deviations
+SCAN = np.linspace(-4.0, 4.0, 17)  # values of a single cause, in prior standard deviations
 STEP = 1e-3  # finite difference, in prior standard deviations
 CERTAIN = 0.95  # posterior probability at which one cause is named
-LEAST_PROBABILITY = 0.02  # of the causes that are listed
+LEAST_PROBABILITY = 0.02  # minimum for listed causes
 DETERMINED = 0.5  # largest posterior width, relative to the prior, of a determined cause
 SEPARATED = 9.0  # squared distance of two predictions, in units of the noise, that tells causes apart
 MAX_STEPS = 40
 RESTING = 1e-6  # a smaller step of a single cause ends its search
 SCREENED, MOST_SCREENED = 8, 128  # draws of the prior for each cause, and in all, before Gauss-Newton
-STARTS = 2  # of Gauss-Newton from these draws
+STARTS = 2  # Gauss-Newton starts among these draws
 FARTHEST = 6.0  # standard deviations of the prior, beyond which a deviation is not one of the tolerances
 EXCESS = 4.0  # standard deviations of chi-squared above its mean at which a hypothesis is rejected
 FURTHER_DEG = (45.0, 60.0, 30.0)  # angles of suggested measurements

@@ -27,7 +27,7 @@ from nacre.readers.measurement import AmbiguousFileError, Measurement
 from nacre.recipe.model import validate
 from nacre.recipe.path_tables import InstrumentSpec
 
-FWHM = 2.0 * np.sqrt(2.0 * np.log(2.0))  # of a Gaussian, in standard deviations
+FWHM = 2.0 * np.sqrt(2.0 * np.log(2.0))  # full width at half maximum of a Gaussian, in standard deviations
 BAND_NODES, CONE_NODES, THICKNESS_NODES = 7, 7, 11
 GRAZING_DEG = 89.999
 MAKERS = {
@@ -277,8 +277,8 @@ def ellipsometry_document(found: EllipsometricResponse) -> dict[str, Any]:
 # Measured ellipsometry as fit data: N, C and S, which lack a jump where Delta passes 360 degrees.
 
 PURE = 0.005  # largest |N^2 + C^2 + S^2 - 1| of values that an instrument has normalised
-LEAST_ERROR = 0.2  # of the median standard error: smaller stated ones are raised to it
-MSE_UNIT = 1e-3  # of N, C, S in the mean squared error of ellipsometer programs
+LEAST_ERROR = 0.2  # fraction of the median standard error to which smaller stated errors are raised
+MSE_UNIT = 1e-3  # unit of N, C, S in the mean squared error of ellipsometer programs
 MUELLER = tuple(f"m{i}{j}" for i in range(1, 5) for j in range(1, 5))[1:]
 
 

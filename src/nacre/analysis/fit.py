@@ -55,7 +55,7 @@ SCANNED = 3  # points from which thicknesses are scanned
 THICKNESS = re.compile(r"(thickness|height|gap)_(nm|um|mm)$")
 UNIT_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
 FAR_RMS, MOST_TURNS = 0.1, 4  # relative rms from which further samples are drawn for starts
-REWEIGHTINGS = 2  # of several measurements
+REWEIGHTINGS = 2  # iterations that reweight several measurements
 BOUND_TOL = 1e-3  # relative to the bounds
 POOR_RMS, BETTER = 0.03, 0.7  # relative rms of a fit that suggests a wrong Delta sign, and the gain by the other
 

@@ -34,11 +34,11 @@ from nacre.readers.registry import recognise
 from nacre.recipe.model import RecipeContext
 from nacre.recipe.toml import dump_toml
 
-SNIFFED_BYTES = 4096  # of a file without a known suffix; comments may precede the root element
+SNIFFED_BYTES = 4096  # read from a file without a known suffix; comments may precede the root element
 MAX_F0 = 0.96  # a real index of 98; a perfect mirror would need an infinite one
 ENERGY_ANGLES_DEG = (0.0, 30.0, 60.0)
 MOST_ENERGY = 4.0  # measurements exceed 1 by tens of per cent
-ROUNDING = 1e-6  # of the largest value
+ROUNDING = 1e-6  # relative to the largest value
 LOST_OF_MESH = "the mesh file's own materials, nodes and animations: its triangles became one object"
 LOST_OF_BLEND = (
     "one surface: the first material lies over the second as the same triangles with alpha, for renderers that "

@@ -36,7 +36,7 @@ from nacre.measure.evaluate import evaluate_with_error, hemispherical
 COLUMNS = 256
 ROUGH_COLUMNS = 91  # columns of the smooth colours averaged over facets
 FINE = 2049  # cosines, with linear interpolation of facet colours
-NODES = 64  # of the quadrature over facets, per coordinate
+NODES = 64  # quadrature nodes over facets, per coordinate
 AZIMUTH_ROWS = 9
 AZIMUTHS = 6  # over a quarter turn, for anisotropic facets
 STEEPEST = np.radians(89.5)  # below grazing incidence

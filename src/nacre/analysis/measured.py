@@ -22,9 +22,9 @@ TOTALS = ("total_reflectance", "total_transmittance")
 POLARISED = {f"{part}_{p}": (part, p) for part in (*PARTS, *TOTALS) for p in ("s", "p")}
 VISIBLE_NM = (380.0, 780.0)
 MAX_POWER, MIN_POWER = 1.1, -0.05  # allows for instrument errors near white and black
-MAX_RELATIVE = 2.0  # of a reference that reflects less than the sample; larger values are per cent
+MAX_RELATIVE = 2.0  # limit for a sample brighter than its reference; larger values are per cent
 RELATIVE_FLOOR = 0.01
-LEAST_ERROR = 0.1  # of the median standard error: smaller ones do not weigh more
+LEAST_ERROR = 0.1  # fraction of the median standard error; smaller errors are raised to it
 UNPOLARISED = "both"
 
 

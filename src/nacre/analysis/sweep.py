@@ -94,7 +94,7 @@ class Store:
     def __init__(self, path: Path, sweep: Sweep) -> None:
         self.path = path
         self._shape = sweep.points.shape
-        for leftover in path.rglob("*.partial"):  # of a killed run; never renamed
+        for leftover in path.rglob("*.partial"):  # files of a killed run, which were never renamed
             with contextlib.suppress(OSError):
                 leftover.unlink()
         if _fingerprint_of(path) != sweep.fingerprint:

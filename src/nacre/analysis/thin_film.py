@@ -220,7 +220,7 @@ def _lost(material: Material, bsdf: Bsdf, film: ThinFilm) -> tuple[str, ...]:
 # Each value of the number has its own best film thickness; index and base are common. A picture holds any such
 # function of the number, so the map is baked for the recipe's uv.
 
-VALUES = 25  # of the number
+VALUES = 25  # values of the varying number
 FITTED = (0.1, 0.5, 0.9)  # positions in its range at which index and base are fitted
 STEP_NM = 4.0
 THICKEST_NM = 1600.0

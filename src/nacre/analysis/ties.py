@@ -147,7 +147,7 @@ def _paths(node: ast.expr) -> set[str]:
     """Return an expression's paths.
 
     Raises:
-        ValueError: something else than paths, numbers and arithmetic.
+        ValueError: it contains more than paths, numbers and arithmetic.
     """
     if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
         return _paths(node.left) | _paths(node.right)

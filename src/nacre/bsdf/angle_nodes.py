@@ -19,11 +19,11 @@ from nacre.core.arrays import Array, interpolate, node_coordinate
 
 UNITS = 2**FINEST_LEVEL  # nodes are whole numbers of 2^-FINEST_LEVEL
 UNIFORM_LEVELS = 7, 9
-FINE_ERROR = 1e-4  # of R and T, where 513 nodes suffice
+FINE_ERROR = 1e-4  # error of R and T where 513 nodes suffice
 ALLOWED_ERROR = 1.5e-3  # midway between nodes, where more are needed
 CHECKED_ERROR = 2.5e-3  # at the check's angles, which refine further
 CHECK_ROUNDS = 16
-ERROR_MARGIN = 2.0  # of stated errors: checks have a few hundred angles
+ERROR_MARGIN = 2.0  # factor on stated errors: checks have a few hundred angles
 STATED_FROM = 5e-3  # larger errors of R and T are stated with their range of angles
 JOINED_DEG = 0.1  # ranges closer than this are one
 Solve = Callable[[Array], Array]

@@ -31,7 +31,7 @@ TRANSPARENT_K = 1e-4  # 1 mm of the substrate then transmits more than 10 % at 5
 SAME_INDEX = 1e-3  # smaller index differences refract invisibly little
 MOST_COS_NODES, LEAST_COS_NODES = 4097, 129
 COS_NODES_VARYING, MOST_COS_NODES_VARYING = 65, 129
-PROBED_NODES = 3  # of each varying number, at which nodes over angle are chosen
+PROBED_NODES = 3  # values per varying number at which nodes over angle are chosen
 TOTAL_NODES = 129
 FLANKS = np.array([-3.3, -1.1, 0.0, 1.1, 3.3]) / 2**FINEST_LEVEL  # about a narrow resonance
 METALLIC_K = 0.1  # media with a larger k guide no narrow modes by total reflection
@@ -410,10 +410,10 @@ def check_size(counts: Sequence[int], cos_nodes: int, wavelengths: int) -> None:
 
 COS_NODES = 65
 COS_NODES_SPREAD = 33  # a pitch spread averages the fringes out
-SLICE_SHARE = 0.25  # of helices; the error grows to some 3e-4
+SLICE_SHARE = 0.25  # fraction of a helix's slices that is used; the error grows to some 3e-4
 LOSSLESS_K = 1e-9
 AZIMUTHS = (3, 5, 9, 17)  # odd: even counts repeat the same values, as half a turn changes little
-AZIMUTH_ERROR = 4e-3  # of the mean reflectance, by the next count
+AZIMUTH_ERROR = 4e-3  # change of the mean reflectance allowed at the next count
 CHECKED_COSINES = (np.array([12.0, 30.0, 47.0]) + 0.5) / 64  # midway between nodes
 PROBE_COSINES = np.array([0.8, 0.45])
 PROBE_WAVELENGTHS = 12

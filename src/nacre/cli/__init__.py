@@ -45,7 +45,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "fabricate": ("nacre.cli.design", "Write the files to make a design or a material."),
     "export": ("nacre.cli.show", "Write a material in another program's format."),
     "blender": ("nacre.cli.machine", "Write the extension for Blender."),
-    "read": ("nacre.cli.machine", "Say what a file of an instrument or another program contains."),
+    "read": ("nacre.cli.machine", "Show the content of a file from an instrument or another program."),
     "import": ("nacre.cli.show", "Read a measurement or another program's material into a recipe."),
     "fit": ("nacre.cli.analysis", "Fit parameters of a recipe to measurements."),
     "studio": ("nacre.cli.render", "Open a live page on a recipe, on this machine only."),

@@ -393,7 +393,7 @@ DEFAULT_ANGLES = "65,70,75"
 @click.command()
 @click.argument("recipe")
 @click.option("--angles-deg", default=DEFAULT_ANGLES, show_default=True, help="Incidence, such as 65,70,75 or 50:80:5.")
-@click.option("--wavelengths-nm", default=None, help="Such as 400:800:5; default: chosen by the material.")
+@click.option("--wavelengths-nm", default=None, help="Grid such as 400:800:5; default: chosen by the material.")
 @click.option("--azimuth-deg", type=float, default=None, help="Azimuth of the direction to the light, from u.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, with the conventions.")
 @click.option("-o", "output", metavar="FILE.csv", help="Write CSV (or JSON, by the suffix) to a file.")

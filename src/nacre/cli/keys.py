@@ -116,7 +116,7 @@ def keys(path: str | None, schema: bool, as_json: bool) -> None:
     name, _, place = (path or "").partition(".")
     if schema:
         if place:
-            raise NacreError(f'keys: a schema is of a whole kind of file; write "{name}" in place of "{path}"')
+            raise NacreError(f'keys: a schema covers a whole file type; write "{name}" in place of "{path}"')
         click.echo(json.dumps(editor_schema(name or None), indent=1, ensure_ascii=False))
     elif not name:
         names = kind_names()

@@ -49,7 +49,7 @@ SCENES = (
     metavar="NAME|ENVMAP[:STRENGTH][@TURN],...",
     help="studio, line, sun, sky, directional, interior, street, garden, or a map; several: studio:0.5,sun@120.",
 )
-@click.option("--light-layers", is_flag=True, help="Write what each light gives alone as layers of the EXR.")
+@click.option("--light-layers", is_flag=True, help="Write each light's contribution as a layer of the EXR.")
 @click.option("--illuminant", default="D65", show_default=True, help="Spectrum of the light sources.")
 @click.option(
     "--background",
@@ -68,10 +68,10 @@ SCENES = (
     "samples a pixel.",
 )
 @click.option("--spp", type=int, default=None, help="In place of --noise: samples a pixel.")
-@click.option("--seconds", type=float, default=None, metavar="S", help="In place of --noise: go on for so long.")
+@click.option("--seconds", type=float, default=None, metavar="S", help="Render for S seconds, instead of to a noise.")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option(
-    "--quality", type=click.Choice(["reference", "fast"]), default=None, help="Pearls: random walk, or noise-free."
+    "--quality", type=click.Choice(["reference", "fast"]), default=None, help="Pearls: random walk or fast tables."
 )
 @click.option(
     "--polariser", default=None, metavar="left|right|DEG",
@@ -93,9 +93,9 @@ SCENES = (
     show_default=True,
     help="filmic: highlights roll off by the display curve of ACES (fit by Narkowicz); colours then are a look.",
 )
-@click.option("--denoise/--no-denoise", default=True, show_default=True, help="Take the grain out of the picture.")
+@click.option("--denoise/--no-denoise", default=True, show_default=True, help="Denoise the picture.")
 @click.option(
-    "--animate", default=None, metavar="light|view|time|PATH=A:B", help="Turn light or view, or run a number."
+    "--animate", default=None, metavar="light|view|time|PATH=A:B", help="Rotate light or view, or vary a number."
 )
 @click.option("--frames", type=click.IntRange(2, 100_000), default=48, show_default=True)
 @click.option(

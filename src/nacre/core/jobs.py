@@ -28,10 +28,10 @@ SINGLE_THREADED = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREA
 BATCHES_PER_WORKER = 3  # enough to hide the transfer time; few, since a killed run loses them
 BATCH_SECONDS = 0.5
 MAX_BATCH = 256
-MAX_RESTARTS = 5  # of the worker processes without a result in between
+MAX_RESTARTS = 5  # restarts of the worker processes without a result in between
 CONNECT_TIMEOUT_S = 10
-START_WORKERS_S = 10.0  # of remaining work, for callers whose work may be short; a worker process takes 2 s to start
-ANNOUNCED_S = 20.0  # of remaining work
+START_WORKERS_S = 10.0  # remaining work from which workers are started if work may be short; a start takes 2 s
+ANNOUNCED_S = 20.0  # remaining work from which it is announced
 SECURITY_KEYS = ("ca", "cert", "key")
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from nacre.core.errors import MachineError, UnsupportedError
 
 VARIABLE = "NACRE_MEMORY"
-SHARE = 0.25  # of the machine's memory
+SHARE = 0.25  # fraction of the machine's memory
 UNKNOWN_MACHINE = 8 << 30  # assumed if the system does not report its memory
 LEAST = 1 << 20  # a smaller limit would refuse everything
 _UNITS = {"": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12,

@@ -103,7 +103,7 @@ def _say_unpolarised(kinds: str) -> None:
 
 @functools.cache
 def _warn_of_rgb(variant: str) -> None:
-    """State once what an RGB variant loses."""
+    """Log once the limitations of an RGB variant."""
     logger.warning(
         "%s: materials are projected to linear sRGB under D65; other lamps, metamerism and saturated interreflections "
         "are lost",
@@ -181,7 +181,7 @@ def make_plugin(lobe: Lobe) -> LobePlugin[Any]:
 # linear in their spectral tables
 LINEAR_KINDS = ("specular", "microfacet", "diffuse", "table", "aligned-specular", "aligned-microfacet")
 CHANNELS = np.array([1.0, 2.0, 3.0])  # in place of wavelengths: red, green, blue
-NODES = (64, 46, 37)  # of a table: root of the half angle, difference angle, its azimuth
+NODES = (64, 46, 37)  # table nodes: root of the half angle, difference angle, its azimuth
 HORIZON = 1e-3  # smallest cosine at a node
 
 

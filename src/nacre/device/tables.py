@@ -95,7 +95,7 @@ class WavelengthAxis:
         self.nodes = device_array(grid)
 
     def locate(self, wavelengths: Any, active: Any = True) -> Located:
-        """Locate `si.wavelengths`; wavelengths outside (such as the 0 of test harnesses) move to the end."""
+        """Locate `si.wavelengths`; wavelengths outside (such as the 0 of test harnesses) are clamped."""
         if mi.is_rgb:  # the three nodes are the channels
             nodes = ((0, 0.0), (1, 0.0), (1, 1.0))
             return Located([mi.UInt32(node) for node, _ in nodes], [mi.Float(part) for _, part in nodes])

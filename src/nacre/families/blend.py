@@ -18,7 +18,7 @@ from nacre.core.arrays import Array
 from nacre.families.contract import EnergyDefect, Mixed, Model, Traits, energy_defect
 from nacre.recipe.model import RecipeContext, RecipeModel
 
-MASK_LEVELS = 8  # of a continuous mask, for texture
+MASK_LEVELS = 8  # levels of a continuous mask, for texture
 
 
 class PartSpec(RecipeModel):

@@ -233,13 +233,13 @@ class Surrogate(abc.ABC):
     def estimate_radiance(
         self, wi: Array, wo: Array, wavelengths_nm: Array, walks: int, seed: int
     ) -> tuple[Array, Array] | None:
-        """Return a Monte Carlo estimate of the BRDF at pairs and its standard error, if there is a walk for pairs.
+        """Return a Monte Carlo estimate of the BRDF at pairs and its standard error; None without a random walk.
 
         Args:
             wi, wo: `[pair, 3]`, above the surface.
             wavelengths_nm: `[wavelength]`.
-            walks: for each light direction.
-            seed: another seed gives independent noise.
+            walks: number per light direction.
+            seed: of the random numbers; different seeds give independent noise.
         """
         return None
 

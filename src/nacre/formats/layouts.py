@@ -147,9 +147,9 @@ def runs(levels: Levels) -> list[tuple[int, int, int, int]]:
 
 PRECISIONS_M = (1e-9, 1e-10, 1e-11, 1e-12)  # database units
 MAX_COORDINATE_UM = 2.0e6  # 32-bit coordinates
-TOLERANCE_UM = 5e-4  # of a polygon from its circle
+TOLERANCE_UM = 5e-4  # deviation of a polygon from its circle
 AREA_ERROR = 0.01
-MAX_CORNERS = 2048  # of a polygon; GDSII holds 8191
+MAX_CORNERS = 2048  # per polygon; GDSII allows 8191
 
 
 def write_layout(

@@ -28,7 +28,7 @@ MIN_FILLED = 0.5  # share of a grid's nodes that must be measured
 EQUAL = 1e-6  # relative spread of rounding
 ANISOTROPIC = 0.1  # relative spread between light azimuths beyond which data are anisotropic
 NOISE = 0.01  # negative values up to this share of the maximum, and of the sum, are noise
-DIGITS = 6  # of angles in degrees
+DIGITS = 6  # decimal places to which angles in degrees are rounded
 HALF_NODES = (60, 60, 5)
 
 
@@ -109,7 +109,7 @@ def _spread_over_turns(points: Array, values: Array) -> float:
     if len(np.unique(points[:, 3] % 360.0)) < 2:
         return 0.0
     mean = np.nanmean(values, axis=1)
-    # away from the normal, where the azimuth difference has no meaning
+    # directions off the normal, since the azimuth difference is undefined there
     some = (points[:, 0] > 0) & (points[:, 1] > 0) & np.isfinite(mean)
     _, where = np.unique(points[some, :3], axis=0, return_inverse=True)
     where = np.ravel(where)

@@ -147,13 +147,13 @@ def hex_to_srgb(text: str) -> list[float]:
 
 
 DIN_6175 = "din6175-2"
-LEAST_ASPECULAR_DEG = 10.0  # of DIN 6175-2, whose weights grow as 1 / angle
+LEAST_ASPECULAR_DEG = 10.0  # lower limit for DIN 6175-2, whose weights grow as 1 / angle
 UNVERIFIED = "its coefficients are not verified against a public text"
 REFUSED = {
     "audi2000": f'{UNVERIFIED}; "{DIN_6175}" also weights by angle, lightness and chroma',
     "din6175-1": f'it is for uniform colours, and {UNVERIFIED}; "ciede2000" or "cmc(2:1)" suit those',
 }
-CHROMA_LIMIT_7 = 25.0**7  # of CIEDE2000's correction for near-neutral colours
+CHROMA_LIMIT_7 = 25.0**7  # constant of CIEDE2000's correction for near-neutral colours
 
 
 def delta_e_76(lab: ArrayLike, other: ArrayLike) -> Array:

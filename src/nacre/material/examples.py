@@ -23,7 +23,7 @@ class Example:
     family: str
     about: str
     path: Path
-    is_recipe: bool  # of a material, not a design target
+    is_recipe: bool  # False for a design target
 
 
 def examples_folder() -> Path:

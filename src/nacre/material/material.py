@@ -74,7 +74,7 @@ STUDY_TABLES = (
     "instrument",
     "geometry",
     "correlation",
-)  # of fits and tolerances; they do not change the optics
+)  # keys of fits and tolerances; they do not change the optics
 
 
 @functools.lru_cache(maxsize=256)  # each message once per process
@@ -598,7 +598,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
     for remark in lone_axes(data):
         _warn_once(context.source, remark)
     if spec is not None:
-        return Material(spec.build(context), data, context)  # type: ignore[attr-defined]  # of every family
+        return Material(spec.build(context), data, context)  # type: ignore[attr-defined]  # every family has it
     numbers = varying_numbers(data, family_spec(data.get("family"), context.source).varies_by_nodes)
     return Material(Varying.read(numbers, _uniform_variants(data, context), context), data, context)
 

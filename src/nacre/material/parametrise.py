@@ -20,7 +20,7 @@ from nacre.recipe.model import RecipeContext, RecipeModel, Snapshot, length_fact
 from nacre.recipe.paths import NUMBERS, find_by_path, path_keys, set_by_path
 from nacre.recipe.toml import plain_data
 
-Keys = tuple[Any, ...]  # of a place in nested tables and lists
+Keys = tuple[Any, ...]  # keys and indices that lead to a value in nested tables and lists
 Reader = Callable[[Mapping[str, Any], RecipeContext], tuple[RecipeModel | None, RecipeContext]]
 Builder = Callable[[Mapping[str, Any], RecipeContext], Any]
 

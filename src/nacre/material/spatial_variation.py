@@ -29,8 +29,8 @@ from nacre.recipe.model import LENGTH_UNITS_NM, RecipeContext, validate
 
 MAX_NUMBERS = 2
 MAX_NODES = 9  # each adds a set of lobes to every kernel
-COLOUR_ERROR = 1.0  # dE00 midway between nodes, at any the test geometries
-WALK_SAMPLES = 65_536  # of a random walk, with noise well below the colour error
+COLOUR_ERROR = 1.0  # dE00 midway between nodes, at any test geometry
+WALK_SAMPLES = 65_536  # paths of a random walk: noise well below the colour error
 TEST_ANGLES_DEG = (0.0, 45.0)  # mirror direction and transmission
 TEST_ASPECULAR_DEG = (15.0, 25.0, 45.0, 75.0)
 TEST_RANGE_NM = (400.0, 720.0, 9)  # nine bands suffice for pigments and particles

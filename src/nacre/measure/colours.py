@@ -174,15 +174,15 @@ def geometry_colours(
 # `fit_lobes` needs values without noise, and sums up to three such mirrors: one width does not describe a lobe that
 # widens towards grazing angles, as below an interface.
 
-TILTS_DEG = np.array([1.5, 3.0, 6.0, 12.0, 24.0, 50.0])  # of the half vector; the last one measures the background
+TILTS_DEG = np.array([1.5, 3.0, 6.0, 12.0, 24.0, 50.0])  # tilts of the half vector; the last one: background
 AT_DEG = 20.0  # difference angle at which the width is determined
-FALL = 0.4  # of the peak, at the tilt that gives the width
+FALL = 0.4  # fraction of the peak at which the width is measured
 LEAST_PEAK = 2.0  # relative to the background; lower lobes count as diffuse
 NARROWEST, WIDEST = 0.02, 0.7
 RINGS_DEG = np.array([0.0, 1, 2, 3, 4.5, 6, 8, 11, 15, 20, 27, 36, 50, 90])  # borders of rings of half-vector tilt
 RING_NODES, AZIMUTHS = 3, 8  # quadrature points across a ring and along half of it
 ALPHAS = np.geomspace(0.03, 0.6, 9)
-MOST_LOBES, LEAST_SHARE = 3, 0.02  # of the scattered light, at any angle
+MOST_LOBES, LEAST_SHARE = 3, 0.02  # number of lobes, and minimum share of the scattered light at any angle
 WHOLE = 10.0  # weight of the whole power relative to that within a ring
 
 

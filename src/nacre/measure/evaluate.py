@@ -25,7 +25,7 @@ from nacre.light.tristimulus import spectrum_to_xyz, spline_matrix
 logger = logging.getLogger("nacre")
 
 BYTES_PER_VALUE = 40  # per pair and wavelength: the sum, the values of one lobe, and intermediate results
-UNIT_TOLERANCE = 1e-3  # of a vector's length
+UNIT_TOLERANCE = 1e-3  # deviation of a vector's length from 1
 LEAST_STEP_NM = 0.25  # between the wavelengths of colours
 PAIRS_AT_ONCE = 2048
 DEFAULT_SAMPLES = 4096  # paths per direction pair: about 2 % noise for a broad lobe
@@ -338,8 +338,8 @@ def bsdf_spectrum(
 
 LEAST_POWER = 1e-12
 CROSSED_POSITIONS = 180
-MOST_RETARDANCE_NM, RETARDER_ERROR = 20_000.0, 0.1  # the error: of cos(2 pi retardance / wavelength), root mean square
-LEAST_DISSYMMETRY = 0.05  # of a selective reflection, at its peak
+MOST_RETARDANCE_NM, RETARDER_ERROR = 20_000.0, 0.1  # the error: rms in cos(2 pi retardance / wavelength)
+LEAST_DISSYMMETRY = 0.05  # minimum at the peak of a selective reflection
 
 
 @dataclass(frozen=True)

@@ -344,7 +344,7 @@ def sparkle_patch(areas: Sequence[Area], pixels: Pixels, seed: int) -> tuple[Spa
     """Return sparkle from an image of drawn flakes, with standard errors over its blocks (jackknife), and the image.
 
     The areas lie beside each other as stripes of the field. The field is made smaller where more than a few million
-    flakes would be drawn; the size of the image tells.
+    flakes would be drawn, as the size of the image shows.
 
     Returns:
         sparkle, and luminance factors `[row, column]`.
@@ -424,7 +424,7 @@ SIZES = 24
 TILES = 16  # periodic pieces of the field
 SAMPLES_PER_DIAMETER = 5.0
 MOST_SAMPLES = 1600  # along the side of a tile
-FINEST_UM = 10.0  # diameter of drawn flakes, far below what the eye resolves
+FINEST_UM = 10.0  # diameter of drawn flakes, far below the eye's resolution
 HIDDEN = 6.0  # optical thickness of flakes below which nothing is seen
 
 

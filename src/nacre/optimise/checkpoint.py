@@ -132,7 +132,7 @@ class DesignFolder(abc.ABC, Generic[Answer]):
         claim(self.folder)
 
     def write_running(self, part: dict[str, Any]) -> None:
-        """Write the part of the best solution so far into the summary."""
+        """Write `part`, which describes the best solution so far, to the summary."""
         write_summary(self.folder, {"status": "running", "seconds": round(self.spent_s, 3), **part})
 
     def design(self, source: str) -> Answer:

@@ -177,7 +177,7 @@ def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, ligh
     if len(places) != 1 or any(len(cells) <= places[0] for _, cells in lines):
         return []
     if any({each.quantity for cell in heading for each in meanings(cell)} >= form for form in MEASURED):
-        return []  # measured colours precede their picture on a display
+        return []  # beside measured colours, a hex column only shows them
     cells = [row[places[0]].lstrip("#") for _, row in lines[1:]]
     if not cells or not all(_HEX.fullmatch(cell) for cell in cells):
         return []

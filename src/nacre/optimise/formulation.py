@@ -51,23 +51,23 @@ from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import LENGTH_UNITS_NM, RecipeContext, validate
 from nacre.recipe.toml import parse_toml
 
-LEAST = 1e-4  # of the upper bound: a recipe needs a fraction above 0
-STARTS = 2  # of each combination
-SCOUT_STEPS, COARSE_STEPS, FINE_STEPS = 7, 25, 12  # of least squares
+LEAST = 1e-4  # fraction of the upper bound: a recipe needs a volume fraction above 0
+STARTS = 2  # per combination
+SCOUT_STEPS, COARSE_STEPS, FINE_STEPS = 7, 25, 12  # least-squares steps
 SECOND = 10  # combinations refined on the two-stream model, for each answer
 CORRECTIONS, REST = 6, 2e-3  # largest number of space-mapping steps; a smaller move ends them
 FINALISTS = 4  # for each answer
-GOOD_RMS, EDGE, POLISH_STEPS = 0.1, 0.05, 15  # of the final least squares
+GOOD_RMS, EDGE, POLISH_STEPS = 0.1, 0.05, 15  # for the final least squares
 WALKS = 1 << 16
 BLACK, WHITE = 0.0, 0.8  # albedo of the contrast ratio's bases; ISO 6504-3 asks for at least 0.8 of the white
 HIDING = Geometry("aspecular", 45.0, 45.0)  # 45/0
 ADDITION_COST = 0.05  # residual, in tolerances, of an addition of the batch's own volume
-MOST_ADDED = 1.0  # of resin and of each ingredient, relative to the batch's own volume of it
-STAGE_SHARES = (0.35, 0.5, 0.7, 0.85)  # of the time limit and of the evaluations, at the end of each stage
+MOST_ADDED = 1.0  # maximum addition of resin or an ingredient, relative to its volume in the batch
+STAGE_SHARES = (0.35, 0.5, 0.7, 0.85)  # fraction of the time limit and the evaluations at the end of each stage
 STATE_KEYS = ("stage", "ingredients", "start", "rms", "point")
 MOST_COMBINATIONS = 5000
-COLOUR_NOISE = 0.2  # of measured L*, a* and b*: repeatability of a good spectrophotometer
-RELATIVE_STEP = 0.02  # of a volume fraction, for derivatives
+COLOUR_NOISE = 0.2  # noise of measured L*, a* and b*: repeatability of a good spectrophotometer
+RELATIVE_STEP = 0.02  # relative step of a volume fraction for derivatives
 LEAST_TEXTURE, TEXTURE_STEP = 1e-9, 0.05  # relative volume fraction step for texture derivatives
 SUMMARY = "formulation.json"
 STARTED = "started"  # status while answers are written, so that a killed run does not block the next
@@ -358,7 +358,7 @@ class _Paint:
         object.__setattr__(self, "make", self.material.parametrise([each.path for each in self.ingredients]))
 
     def made(self, fractions: Sequence[float] | Array) -> Material:
-        """Return the recipe of volume fractions."""
+        """Return the recipe with these volume fractions."""
         return self.make({each.path: float(f) for each, f in zip(self.ingredients, fractions, strict=True)})
 
     def amounts(self, point: Array) -> dict[str, float]:
@@ -889,7 +889,7 @@ def write_formulation(found: Formulation, folder: Path) -> None:
 
 
 def _mark(folder: Path) -> None:
-    """Write the summary of the earlier answers as one that is not complete."""
+    """Mark the summary of the earlier solutions as incomplete."""
     earlier: dict[str, Any] = {"formulas": []}
     with contextlib.suppress(OSError, ValueError, TypeError):
         earlier |= json.loads((folder / SUMMARY).read_text(encoding="utf-8"))

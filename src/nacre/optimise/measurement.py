@@ -211,7 +211,7 @@ def why_missing(material: Material, geometry: Geometry) -> str:
 
 
 def check_answers(materials: Sequence[Material], geometries: Sequence[Geometry], where: Sequence[str]) -> None:
-    """Refuse a geometry at which all of some materials lack a signal.
+    """Refuse a geometry at which every given material lacks a signal.
 
     Args:
         materials: the recipe and variants of it.

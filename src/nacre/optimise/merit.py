@@ -20,10 +20,10 @@ from nacre.light import delta_e_2000, delta_e_2000_components, lab_to_lch, lch_t
 
 Kind = Literal["colour", "hue", "chroma", "lightness", "spectrum", "texture"]
 
-KINDS: tuple[Kind, ...] = ("colour", "hue", "chroma", "lightness", "spectrum")  # those of a stack's compiled merit
+KINDS: tuple[Kind, ...] = ("colour", "hue", "chroma", "lightness", "spectrum")  # of the compiled merit function
 SINGLE: tuple[Kind, ...] = ("spectrum", "texture")  # without a lamp
-MEAN_SHARE = 1e-3  # of the mean in the objective: it decides between equal worst distances
-GRID_POINTS, GRID_ROUNDS = 17, 5  # of the search for the nearest range colour
+MEAN_SHARE = 1e-3  # weight of the mean in the objective: it decides between equal worst distances
+GRID_POINTS, GRID_ROUNDS = 17, 5  # search for the nearest colour within ranges
 
 
 def default_wavelengths_nm() -> Array:

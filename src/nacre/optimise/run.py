@@ -51,7 +51,7 @@ from nacre.optimise.tolerances import read_tolerances
 from nacre.optimise.yield_analysis import sensitivity, yield_of
 from nacre.recipe.paths import numbers_of
 
-DESIGN_KEYS = {"parameters", "layers", "recipe", "tolerance", "want"}  # of target files; [want] is a former name
+DESIGN_KEYS = {"parameters", "layers", "recipe", "tolerance", "want"}  # keys of target files; [want] is a former name
 RESUMED_SEED = 1_000_003  # seed offset of each resumed search
 IMAGE_DESIGNS = {
     "picture": ("nacre.optimise.image.design", "design_picture"),

@@ -48,7 +48,7 @@ def take_apart(data: dict[str, Any], taken: list[str]) -> dict[str, str]:
 
 RECIPE = "recipe.toml"
 SUMMARY = "design.json"
-NEED_BYTES = 8_000_000  # of a folder's disk: answers, pictures, report
+NEED_BYTES = 8_000_000  # free disk space for solutions, pictures and report
 WRITTEN = (RECIPE, SUMMARY, "report.html", "report.png", "search.json")  # beside the best answer
 
 

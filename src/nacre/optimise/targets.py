@@ -34,10 +34,10 @@ from nacre.recipe.model import RecipeContext, show_value
 GAP_STEPS = 3.0  # times a table's usual step: wider apart, two rows leave out what lies between them
 VISIBLE_NM = (380.0, 780.0)
 NOISE_FACTOR = 0.05  # below 0: noise of a dark sample
-MOST_FACTOR = 10.0  # of a mirror beside a matt white; above it, a spectrum is in per cent
-MOST_LUMINANCE = 2.0  # of a mirror or a sum over directions, far above the 1 that it may have: it is counted to 100
-LEAST_NM, MOST_NM = 10.0, 1e5  # of a wanted spectrum: beyond, it is in another unit, or of another quantity
-MOST_LIGHTNESS, MOST_CHROMA = 500.0, 500.0  # lobes are brighter than white, but no number says so much
+MOST_FACTOR = 10.0  # reflectance factor of a mirror beside a matt white; a larger one is in per cent
+MOST_LUMINANCE = 2.0  # far above the possible 1 of a mirror or a sum over directions; a larger one is in per cent
+LEAST_NM, MOST_NM = 10.0, 1e5  # range of a target spectrum; outside, it has another unit or quantity
+MOST_LIGHTNESS, MOST_CHROMA = 500.0, 500.0  # lobes are brighter than white, but not by so much
 logger = logging.getLogger("nacre")
 _HEX = re.compile(r"#([0-9a-fA-F]{6}|[0-9a-fA-F]{3})$")
 _BOUND = re.compile(r"\s*(>=|<=)\s*([-+]?[\d.]+)\s*$")
@@ -208,7 +208,7 @@ def _target(spec: TargetEntry, key: str, context: RecipeContext, named: Mapping[
         if min(given) < 0:
             raise RecipeError(f"{key}.{name} = {show_value(list(given))} holds a negative number")
         if name == "xyy" and (given[0] + given[1] > 1 or (given[1] == 0 and given[2] > 0)):
-            raise RecipeError(f"{key}.xyy = {show_value(list(given))} is no colour: y is above 0, x + y at most 1")
+            raise RecipeError(f"{key}.xyy = {show_value(list(given))} is not a colour: y is above 0, x + y at most 1")
         luminance = given[1] if name == "xyz" else given[2]
         if at.kind != "aspecular" and luminance > MOST_LUMINANCE:
             said = f"{key}.{name} = {show_value(list(given))}"
@@ -230,7 +230,7 @@ def plausible(lab: Array, where: str, given: Any) -> Array:
         RecipeError: it is darker than black, or far outside the range of lobes.
     """
     if not 0.0 <= lab[0] <= MOST_LIGHTNESS or float(np.hypot(lab[1], lab[2])) > MOST_CHROMA:
-        raise RecipeError(f"{where} = {show_value(list(given))} is no colour: L* runs from 0, with 100 for white")
+        raise RecipeError(f"{where} = {show_value(list(given))} is not a colour: L* is 0 for black and 100 for white")
     return lab
 
 

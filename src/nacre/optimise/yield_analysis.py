@@ -26,7 +26,7 @@ from nacre.optimise.tolerances import Tolerance, draw, wilson_interval
 
 DRAWS, MIN_DRAWS = 256, 16
 RMS, TEXTURE, COLOUR = "rms_percent", "texture_percent", "de00"  # units of effects
-RELATIVE_STEP = 0.01  # of the reported sensitivity
+RELATIVE_STEP = 0.01  # relative step of the reported sensitivity
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ COPIED_CAMERA_VALUES = (
     "aperture_radius",
     "focus_distance",
 )
-MAX_POINTS = 20_000  # of a subject, to find whether it is in the frame
+MAX_POINTS = 20_000  # vertices of a subject tested against the frame
 FARTHEST = 1e30  # larger distances squared overflow in single precision
 
 
@@ -240,7 +240,7 @@ class UserScene:
         self.objects = self.subjects
         self.has_media = any(shape.is_medium_transition() for shape in scene.shapes())
         to_world = np.array(scene.sensors()[0].world_transform().matrix, dtype=float).reshape(4, 4)
-        self.up = tuple(to_world[:3, 1].tolist())  # of the picture
+        self.up = tuple(to_world[:3, 1].tolist())  # upward direction in the picture
         size = scene.sensors()[0].film().size()
         self.size = (int(size[0]), int(size[1]))
         self._source: Any = None

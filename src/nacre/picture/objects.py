@@ -159,7 +159,7 @@ def ring_stand() -> mesh.Mesh:
 
 _CUFF, _CUFF_HALF_HEIGHT, _CUFF_THICKNESS, _CUFF_GAP_DEG = 1.3, 0.62, 0.07, 38.0  # gap at the back
 _BLOWS, _BLOW_DEPTH, _BLOW_RADIUS, _BLOW_SEED = 300, 0.022, 0.18, 7
-_BLOW_SHARPNESS = 22.0  # of the ridges between blows
+_BLOW_SHARPNESS = 22.0  # sharpness of the ridges between blows
 
 
 @functools.cache

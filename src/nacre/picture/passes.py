@@ -504,8 +504,8 @@ def pass_seed(seed: int, index: int) -> int:
 # out.
 
 FIRST_NM, LAST_NM = 360.0, 830.0
-SHARE = 0.25  # of the colour-matching functions in the density
-HUMP_NM, SLOPE = 538.0, 0.0072  # of Mitsuba's density, sech^2(slope (wavelength - hump))
+SHARE = 0.25  # share of the colour-matching functions in the density
+HUMP_NM, SLOPE = 538.0, 0.0072  # parameters of Mitsuba's density, sech^2(slope (wavelength - hump))
 
 
 def band_centres(step_nm: float) -> NDArray[np.float64]:

@@ -389,7 +389,7 @@ class _SetUp:
     light_turn_deg: float
     clear: bool
     is_plain: bool
-    polarisation: str | float | None = None  # of the light
+    polarisation: str | float | None = None  # polarisation of the light
 
     def cached(self, lamps: tuple[Lamp, ...], among: tuple[Lamp, ...] | None = None) -> Any:
         """Return the built scene with its light turned, from the cache if possible.

@@ -213,7 +213,7 @@ def banknote() -> Mesh:
 
 
 def banknote_foil() -> Mesh:
-    """Security stripe and round seal, which take the material."""
+    """Security stripe and round seal, which get the material."""
     low, high = _STRIPE
     u, v, radius = _NOTE_SEAL
     share = NOTE_WIDTH / NOTE_HEIGHT
@@ -226,7 +226,7 @@ def banknote_foil() -> Mesh:
 
 
 def card_coat() -> Mesh:
-    """The drawdown, which takes the material."""
+    """The coated area of the drawdown card, which gets the material."""
     left, right, low, high = _COAT
     return _patch(_card, lambda a, b: (left + (right - left) * a, low + (high - low) * b), (16, 200))
 

@@ -124,7 +124,7 @@ def _lab(path: Path, measurement: Measurement, illuminant: str, observer: str) -
 # Colour lists: names, canonical arrays, illuminant and observer.
 
 SRGB = "values of RGB without a profile are sRGB"
-DEFAULT_LIGHT = ("D50", "2deg")  # of ICC profiles and of CGATS files of the graphic arts (ISO 13655)
+DEFAULT_LIGHT = ("D50", "2deg")  # default of ICC profiles and CGATS files (ISO 13655)
 _OBSERVER = re.compile(r"(?<!\d)(10|2)(?!\d)")
 _ILLUMINANT = re.compile(r"(?<![A-Za-z0-9])(D50|D55|D65|D75|A|C|E|FL?2|FL?7|FL?11|TL84|CWF)(?![A-Za-z0-9])")
 _SAME = {"FL2": "F2", "CWF": "F2", "FL7": "F7", "FL11": "F11", "TL84": "F11"}

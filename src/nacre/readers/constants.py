@@ -312,7 +312,7 @@ def read_sopra(path: Path, options: ReadOptions) -> list[Measurement]:
             except ValueError:
                 raise NacreError(f"{path}: line {count} is no row of a wavelength, n and k") from None
     if points.isdigit() and int(points) != len(rows):
-        raise NacreError(f"{path}: POINTS = {points}, and {len(rows)} rows are there")
+        raise NacreError(f"{path}: POINTS = {points}, but the file has {len(rows)} rows")
     if not rows or any(len(row) != 3 for row in rows):
         raise NacreError(f"{path}: the rows of DATA1 have no wavelength, n and k")
     table = np.array(rows)

@@ -27,10 +27,10 @@ CONVENTIONS = {
     "negative-shifted": (-1, 180.0),
 }
 ALLOWED_UNITS = "nm, um, angstrom, eV, 1/cm"
-MIN_NM, MAX_NM = 100.0, 60_000.0  # of ellipsometers: far ultraviolet to infrared
+MIN_NM, MAX_NM = 100.0, 60_000.0  # range of ellipsometers: far ultraviolet to infrared
 MOST_MUELLER = 1.05  # |m_ij| / m11 of a passive sample is at most 1, here with noise
 SIGN_FLOOR = 0.02  # |sin 2Psi sin Delta| below which the Delta sign has no effect within the noise
-AGREEMENT = 0.05  # of the pseudo-dielectric functions of a bare surface at several angles, relative
+AGREEMENT = 0.05  # relative difference between pseudo-dielectric functions of a bare surface at several angles
 
 
 def text_lines(path: Path) -> list[str]:

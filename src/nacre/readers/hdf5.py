@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import h5py
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-MAX_BYTES = 512 << 20  # of one dataset
+MAX_BYTES = 512 << 20  # size of one dataset
 PROBE_TIMEOUT_S = 60.0
 PROBE = """
 import sys, h5py

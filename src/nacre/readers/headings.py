@@ -125,7 +125,7 @@ def meanings(heading: str, unit: str = "") -> tuple[Meaning, ...]:
         return ()
     if polarised := _POLARISED_ANGLE.fullmatch(text):
         text = f"{polarised[1]}_{polarised[2]} ({polarised[3]}°)"
-    if re.match(r"[kK]\s?/\s?[sS]\b", text):  # of Kubelka and Munk; neither k nor s polarisation
+    if re.match(r"[kK]\s?/\s?[sS]\b", text):  # Kubelka-Munk function, not s polarisation
         return ()
     if geometry := _COLOUR_ANGLE.fullmatch(text) or _ELLIPSOMETRIC_ANGLE.fullmatch(text):
         text = f"{geometry[1]} ({geometry[2]}°)"

@@ -104,7 +104,7 @@ def contradiction(path: Path, key: str, given: str, stated: str) -> NacreError:
 
 # images, documents and archives whose first bytes may be printable
 PRINTABLE_MAGIC = (b"\x89PNG", b"GIF8", b"%PDF", b"PK\x03\x04", b"\xff\xd8\xff", b"Rar!", b"7z\xbc\xaf", b"{\\rtf")
-UTF_16_SHARE = 0.3  # of one parity of bytes, NUL: UTF-16 without a mark
+UTF_16_SHARE = 0.3  # fraction of NUL among bytes of one parity, above which text without a mark is UTF-16
 
 
 def utf_16_order(data: bytes) -> str | None:
@@ -131,7 +131,7 @@ class FileHead:
 
     @cached_property
     def text(self) -> str:
-        """Text of the head; UTF-16 is decoded, other bytes that are no UTF-8 become U+FFFD."""
+        """Text of the head; UTF-16 is decoded, other bytes that are not UTF-8 become U+FFFD."""
         encoding = "utf-16" if self.data[:2] in (b"\xff\xfe", b"\xfe\xff") else utf_16_order(self.data) or "utf-8-sig"
         return self.data.decode(encoding, errors="replace")
 

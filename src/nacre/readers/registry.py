@@ -92,13 +92,13 @@ def recognise(path: str | Path) -> list[tuple[float, Format]]:
         NacreError: as `head_of`.
     """
     head = head_of(path)
-    least = 0.0 if head.is_text else POSSIBLE  # of a binary file, only a recognised structure counts
+    least = 0.0 if head.is_text else POSSIBLE  # binary files need a recognised structure
     found = [(confidence, entry) for entry in FORMATS if (confidence := _confidence(entry, head)) > least]
     return sorted(found, key=lambda pair: -pair[0])
 
 
 def _confidence(entry: Format, head: FileHead) -> float:
-    """Return a format's confidence; a head on which its recognition fails has another format."""
+    """Return a format's confidence; 0 if its recognition fails with an error."""
     try:
         return entry.sniff(head)
     except (NacreError, *_DAMAGE):

@@ -133,7 +133,7 @@ def wavelengths_of(file: h5py.File, count: int) -> tuple[Array, str, str]:
     values = raw * si_unit(found.attrs, kind, named[0])
     if not np.all(np.isfinite(values) & (values > 0)):
         raise TMatrixFileError(f"gives a {named[0]} that is not above 0")
-    wavelengths = np.round(to_wavelength(values) * 1e9, 9)  # 500 nm, also by way of metres
+    wavelengths = np.round(to_wavelength(values) * 1e9, 9)  # rounded, so that 500 nm given in metres is exactly 500
     if not np.all((wavelengths > WAVELENGTHS_NM[0]) & (wavelengths < WAVELENGTHS_NM[1])):
         likely = "; are these nm?" if kind == "length" and 100.0 < raw.min() and raw.max() < 1e5 else ""
         raise TMatrixFileError(f"gives a {named[0]} of {raw[0]:.6g} {shown(unit)}{likely}")
@@ -283,7 +283,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
             )
     except (TMatrixFileError, Hdf5Error) as error:
         raise NacreError(f"{path}: {error}") from None
-    except RuntimeError as error:  # of the HDF5 library
+    except RuntimeError as error:  # from the HDF5 library
         raise NacreError(f"{path}: is damaged: {shown(str(error), 120)}") from None
     size = min(values.shape[1:])
     if values.shape[1] == values.shape[2]:

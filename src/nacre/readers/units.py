@@ -189,7 +189,7 @@ def likely_unit(values: Floats, unit: str) -> str | None:
     if unit == "nm" and low >= 1800.0 and high >= 6000.0:
         return "angstrom or 1/cm"
     if unit == "eV" and 0.19 <= raw_low <= 0.45 and 0.65 <= raw_high < 1.65:
-        return "um"  # of the visible range; as eV, none of it is visible
+        return "um"  # covers the visible range in um; in eV it would be invisible
     if low > 1e5 and unit != "nm" and raw_low > 0:
         other = [u for u in ("nm", "um", "angstrom", "1/cm", "THz") if u != unit and _is_common(raw_low, raw_high, u)]
         return other[0] if other else ("another unit" if low > 1e7 else None)

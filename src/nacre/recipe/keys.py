@@ -131,7 +131,7 @@ def find_key(roots: Sequence[type[RecipeModel]], path: str, source: str) -> tupl
     models: Sequence[type[RecipeModel]] = roots
     prefix, found = "", None
     for word in re.sub(r"\[\d*\]", "", path).split("."):
-        # of alternative tables the first, the most common, comes last here
+        # the most common alternative, the first table, comes last here
         keys = {key.name: key for model in reversed(models) for key in keys_of(model)}
         found = next((keys[way] for way in spellings(word) if way in keys), None)
         if found is None:

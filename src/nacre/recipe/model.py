@@ -303,9 +303,9 @@ class RecipeModel(pydantic.BaseModel):
     package may give `forms`, `example` and `shorthands` of its models.
     """
 
-    # of a family: a small complete recipe, for the reference and the tests of all families
+    # a family's small complete recipe, for the reference and the tests
     example: ClassVar[Mapping[str, Any]] = {}
-    varies: ClassVar[str] = ""  # of a family: numbers that may be textures or formulas, for messages
+    varies: ClassVar[str] = ""  # a family's numbers that may be textures or formulas, for messages
     varies_by_nodes: ClassVar[tuple[str, ...]] = ()  # paths that are solved at nodes and interpolated
     zero_drops: ClassVar[tuple[str, ...]] = ()  # numbers whose table is removed if a search sets them to 0
     # for the reference and for editors; see `keys.py`
@@ -441,7 +441,7 @@ def _first_line(
     error: pydantic.ValidationError, model: type[RecipeModel], data: Mapping[str, Any], context: RecipeContext
 ) -> str:
     problems = error.errors(include_url=False)
-    # of the attempts at a union, the deepest location is the most specific
+    # among the alternatives of a union, the deepest location is the most specific
     problem = max(problems, key=lambda p: (p["type"] == "extra_forbidden", len(p["loc"]), p["type"] == "value_error"))
     key = _key(problem["loc"], ends_in_a_key=problem["type"] == "extra_forbidden")
     if as_text := _number_as_text(problem, data):

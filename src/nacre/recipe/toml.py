@@ -23,7 +23,7 @@ MAX_CACHED = 20_000  # characters
 MAX_TABLE_DEPTH = 48  # nested recipes and formulas have smaller limits
 MAX_VALUES = 2_000_000  # a file of 4 MiB holds no more
 LARGEST_WHOLE = 2**63  # TOML's integers have 64 bits
-MAX_DEPTH = 8  # of nested recipes
+MAX_DEPTH = 8  # depth of nested recipes
 _PLACE = re.compile(r"\(at line (\d+), column (\d+)\)")
 _CURLY = "\u201c\u201d\u201e\u2018\u2019\u00ab\u00bb"  # what word processors write for quotes
 _DECIMAL_COMMA = re.compile(r"=\s*[-+]?\d+,\d+")

@@ -95,7 +95,7 @@ def _signed(word: int) -> float:
 
 
 HALF = 0xFFFF  # the largest 16-bit number
-COSINE_SHARE = 0.1  # of the samples: covers all directions and bounds the weights
+COSINE_SHARE = 0.1  # fraction of the samples: covers all directions and bounds the weights
 # mean square weight below which an opaque lobe uses cosine-weighted sampling: 10 % more variance in a sixth of the time
 BROAD = 1.1
 VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 12, 9, 9  # for each side; more nodes do not reduce the noise

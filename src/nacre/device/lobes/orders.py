@@ -17,7 +17,7 @@ from nacre.core.errors import UnsupportedError
 from nacre.device import plugin
 from nacre.device.tables import DeviceParameters, DeviceTexture, WavelengthAxis
 
-UNIFORM_SHARE = 0.1  # of the samples, in place of the efficiency at the nearest node
+UNIFORM_SHARE = 0.1  # fraction of the samples drawn uniformly rather than by efficiency at the nearest node
 FAR = 60.0  # squared distance from an order, over the squared width
 
 

@@ -18,13 +18,13 @@ from nacre.device.facet_distributions import DeviceGlints, Ggx, resolves_flakes
 from nacre.device.plugin import MIN_COS, LobePlugin, UniformNodes, device_array, flag, opaque, opaque_int, read, read2
 from nacre.device.tables import DeviceTable, WavelengthAxis
 
-MAX_ALPHA = 2.0  # of the facets that sample the flake lobe, which is wider near grazing incidence
+MAX_ALPHA = 2.0  # roughness of the facets that sample the flake lobe, which is wider near grazing incidence
 # The cosine's probability follows its power, with the first number as minimum (which bounds the weights), divided by
 # the second, since path tracers also sample lights for diffuse reflection. Relative variance for bottles 1, 2 and 5
 # at 1 rather than 3: 1.16, 1.5 and 1.1; for bottle 2 at 2 and 4: 1.13 and 0.93.
 DIFFUSE_SHARE, DIFFUSE_LESS = 0.1, 3.0
 SMALLEST_ALPHA = 1e-4
-GLINT_SHARE = 0.75  # of the flake lobe's samples at a point with resolved flakes
+GLINT_SHARE = 0.75  # fraction of the flake lobe's samples at a point with resolved flakes
 
 
 class PlateletLayerPlugin(LobePlugin[PlateletLayer]):

@@ -12,7 +12,7 @@ from nacre.core.errors import UnsupportedError
 from nacre.device.plugin import MIN_COS, LobePlugin, device_array, flag, glossy_sample, opaque, opaque_int, read
 from nacre.device.tables import WavelengthAxis
 
-COSINE_SHARE = 0.15  # of the samples: covers all directions and bounds the weights
+COSINE_SHARE = 0.15  # fraction of the samples: covers all directions and bounds the weights
 VIEW_NODES = 12  # tabulated incidences of the sampling spectrum
 MAX_VALUES = 1 << 30
 

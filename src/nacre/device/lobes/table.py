@@ -18,7 +18,7 @@ from nacre.core.errors import UnsupportedError
 from nacre.device import plugin
 from nacre.device.tables import DeviceTable, WavelengthAxis
 
-COSINE_SHARE = 0.1  # of the samples: covers all directions and bounds the weights
+COSINE_SHARE = 0.1  # fraction of the samples: covers all directions and bounds the weights
 BROAD = 1.05  # mean square weight below which cosine-weighted sampling is as good; 1 for a Lambertian surface
 VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 48, 96, 96
 MAX_TABLE_VALUES = 1 << 27

@@ -21,11 +21,11 @@ from nacre.matter.stack.polarised import SPREAD_REACH, Helix
 from nacre.matter.stack.solve import powers
 from nacre.recipe.model import NotNegative, RecipeContext, RecipeModel, show_value
 
-SLICES_A_TURN = 64  # the fewest of a helix; see `nacre.matter.stack.anisotropic`
+SLICES_A_TURN = 64  # minimum for a helix; see `nacre.matter.stack.anisotropic`
 MAX_LAYERS = 1000
 MAX_THICKNESS_NM = 1e8  # ten centimetres, for incoherent panes
 MAX_COHERENT_NM = 3e4  # fringes of 30 um need a resolution of 0.1 nm
-GRADED_ERROR = 1e-4  # of the reflectance of a graded layer between vacuum and its end materials
+GRADED_ERROR = 1e-4  # error of the reflectance of a graded layer between vacuum and its end materials
 SLICES = (8, 16, 32, 64, 128, 256)
 GRADED_PROBE_NM = (400.0, 470.0, 550.0, 630.0, 700.0)
 
@@ -55,7 +55,7 @@ Pitch = Annotated[float, Field(ge=1.0, le=1e6)]
 class LayerSpec(RecipeModel):
     """One layer: material, thickness, coherence, and the helix of a twisted one."""
 
-    material: MediumSpec = Field(description="what the layer is made of")
+    material: MediumSpec = Field(description="material of the layer")
     thickness_nm: Thickness = Field(
         description="geometric thickness; a texture or formula lets it vary over the surface",
         examples=[350, {"formula": "100 + 600*v"}, {"texture": "grey.png", "min": 100, "max": 700}],

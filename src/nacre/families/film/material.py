@@ -41,7 +41,7 @@ from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.stack.polarised import Helix, PolarisedResponse
 from nacre.matter.stack.stack import Layer, Stack, is_isotropic
 
-COLOUR_COSINES = np.array([1.0, 0.8, 0.5, 0.25])  # of the colours compared in the choice of grids
+COLOUR_COSINES = np.array([1.0, 0.8, 0.5, 0.25])  # cosines of the colours compared in the choice of grids
 MIDDLE = np.array([0.5, 0.5])
 AMPLITUDE_CUTOFF = 1e-5  # round-trip amplitude below which deeper layers are neglected
 CUTOFF_WAVELENGTHS = 48

@@ -156,7 +156,7 @@ class EffectiveDispersion:
         return np.asarray(found.reshape(np.shape(wavelengths_nm)))
 
 
-ROOT_TOL = 1e-9  # of a root against its bounds
+ROOT_TOL = 1e-9  # tolerance of a root against its bounds
 NEWTON_STEPS = 3
 
 

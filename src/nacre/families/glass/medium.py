@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array, ComplexArray
 from nacre.matter.mie import default_order, mie_amplitudes, mie_coefficients
 
-GAUSS_NODES = 128  # of the scattering cosine
-PHASE_NODES = 361  # of the tabulated phase function, uniform in the cosine
+GAUSS_NODES = 128  # quadrature nodes over the scattering cosine
+PHASE_NODES = 361  # nodes of the tabulated phase function, uniform in the cosine
 QUANTILE_NODES = 513
-SIZES = 21  # of a Schulz distribution
+SIZES = 21  # quadrature nodes over a Schulz size distribution
 SMALL_ETA = 1e-4
 
 
@@ -189,9 +189,9 @@ def gauss_rule(count: int) -> tuple[Array, Array]:
     return nodes, weights
 
 
-SERIES_BELOW = 3.0  # y = q d, above which the closed form is exact to 13 digits
+SERIES_BELOW = 3.0  # power series below this y = q d; the closed form above it is exact to 13 digits
 SERIES_TERMS = 18
-SMALL = 0.05  # y, below which sin y - y cos y is a series
+SMALL = 0.05  # power series of sin y - y cos y below this y
 
 
 def percus_yevick(y: Array, fraction: float) -> Array:

@@ -345,10 +345,10 @@ def _order_one(slab: Slab, inner_i: Array, inner_o: Array) -> Array:
 
 
 FIRST_STEP = 0.02  # relative change of scattering
-MAX_CHANGE = 0.3  # of scattering; titania at 400 nm needs 0.16
+MAX_CHANGE = 0.3  # largest change of scattering; titania at 400 nm needs 0.16
 SECANT_STEPS = 4  # polymers need two
 ALBEDO_TOL = 1e-6
-MIN_SLOPE = 1e-3  # of the albedo over scattering, below which scattering cannot compensate the face
+MIN_SLOPE = 1e-3  # slope of the albedo over scattering below which scattering cannot compensate the face
 
 
 def with_one_index(medium: Medium, index: float, thickness_nm: float, albedo: Array) -> Medium:

@@ -22,7 +22,7 @@ from nacre.recipe.model import NotNegative, Positive, RecipeContext, RecipeModel
 MAX_PACKING = 0.64  # random packing of equal spheres
 MIN_LAYERS = 3  # diameters in the thickness of a continuum
 MAX_RADIUS_NM = 500.0  # outer radius, above which there is no effective medium in visible light
-MAX_RELATIVE_DEVIATION = 0.2  # of the radius
+MAX_RELATIVE_DEVIATION = 0.2  # standard deviation of the radius, relative
 MAX_BALL_NM = 1e6
 MAX_THICKNESS_NM = 1e8
 MAX_STRATA = 8
@@ -36,7 +36,7 @@ class ShellSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 20}',)
 
-    material: IndexSpec = Field(description="what the shell is made of")
+    material: IndexSpec = Field(description="material of the shell")
     thickness_nm: Annotated[float, Field(gt=0.0, le=MAX_RADIUS_NM)] = Field(
         description="thickness of the shell outside the core", examples=[20]
     )

@@ -28,7 +28,7 @@ from nacre.families.glass.medium import Medium, gauss_rule
 from nacre.families.glass.radiative_transfer import MATCHED, Slab, brdf_pairs, brdf_table, face
 from nacre.families.glass.random_walk import Face, walk
 
-INDEX_DIGITS = 2  # of the index, for the cache; the results are ratios and vary slowly
+INDEX_DIGITS = 2  # decimal places of the index in the cache; the results are ratios and vary slowly
 GRAZING = 2e-3  # cosine, below which both transmittances vanish
 
 
@@ -142,7 +142,7 @@ CHECK_DEG = (10.0, 40.0, 65.0)
 CHECK_BINS, CHECK_WALKERS, CHECK_BANDS = 10, 120_000, 8
 MIDPOINTS = (8, 24)  # in a bin, and in the half circle of azimuth
 CHECK_PAIRS = 300
-NOISE_SHARE = 0.6  # of the check's noise, added to the stated error
+NOISE_SHARE = 0.6  # fraction of the check's noise that is added to the stated error
 BETWEEN = np.array([0.25, 0.5, 0.75])  # angles within a cell at which the table over incidence is checked
 FACE_DEG = (0.0, 15.0, 30.0, 45.0, 55.0, 65.0, 72.0, 78.0, 83.0, 86.5, 89.0)  # incidences for a rough face
 

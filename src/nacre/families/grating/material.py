@@ -41,9 +41,9 @@ from nacre.matter.periodic.structure import (
 )
 
 MIRROR_NODES = 129
-LEAST_BELL = 1e-4  # of the peak of an order, below which it is not solved
-MOST_DIRECT = 1000  # solutions, from which a table over all directions is quicker
-NODE_RATIO = 0.12  # of neighbouring nodes of a period, at least
+LEAST_BELL = 1e-4  # fraction of an order's peak below which it is not solved
+MOST_DIRECT = 1000  # number of solutions from which a table over all directions is faster
+NODE_RATIO = 0.12  # relative distance between neighbouring nodes of a period
 
 
 def _diffuse(lost: Array, wavelengths_nm: Array) -> Diffuse:

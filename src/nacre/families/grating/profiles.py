@@ -107,7 +107,7 @@ def read_profile(context: RecipeContext, key: str, name: str, period_nm: float, 
     return Profile(depth_nm or span, (), lambda t: spline(t), lambda t: slope(t), ("spline", *x, *z))
 
 
-CORNERS = 48  # of a circle
+CORNERS = 48  # corners of a polygon for a circle
 BISECTIONS = 40
 PRECISION_NM = 1e-3
 

@@ -49,7 +49,7 @@ LEFT = {"corner_radius_nm": ("rectangle",), "rotation_deg": KINDS[1:7], "center_
 NEW_NM = 100.0  # size of a shape that replaces a drawing
 MAX_PIXELS = 1024
 SAMPLES = 256  # a side, in the search for overlaps
-LEAST_EXTENT = 1e-3  # of a GDS drawing, over the period
+LEAST_EXTENT = 1e-3  # smallest extent of a GDS drawing, in periods
 
 
 class ShapeSpec(RecipeModel):

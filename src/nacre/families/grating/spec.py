@@ -24,7 +24,7 @@ MAX_THICKNESS_NM = 100_000.0
 MAX_PERIOD_NM = 100_000.0
 MAX_CROSSED_NM = 5_000.0
 MIN_PERIOD_NM = 10.0
-MAX_RATIO = 4.0  # of a period that varies over the surface
+MAX_RATIO = 4.0  # largest over smallest period that varies over the surface
 STEP_NM, CROSSED_STEP_NM = 5.0, 10.0  # between wavelengths; guided modes make lines of 5 to 20 nm
 PROFILE_KEYS = {
     # key -> profiles that it describes

@@ -491,7 +491,7 @@ CORE_LIMIT_NM = 1000.0
 SMALLEST_CORE_NM = 0.1  # less than an atom; far smaller values underflow when squared
 WIDEST_RELATIVE_SIZE = 0.3
 SAME_MEDIUM = 1e-3  # relative tolerance for the T-matrix index
-MAX_FILES = 1000  # of T-matrices of one particle
+MAX_FILES = 1000  # T-matrix files of one particle
 SAME_LENGTH = 1e-2  # relative tolerance for a length in both recipe and file
 ALIGNED = 'write orientation = "aligned", and turn_deg for the angle by which all are turned about the normal'
 OTHER_WORDS = dict.fromkeys(  # plausible unknown keys, and what to write instead
@@ -520,7 +520,7 @@ class SpeciesSpec(RecipeModel):
     one_of: ClassVar[tuple[str, ...]] = ("material", "tmatrix")
 
     material: IndexSpec | None = Field(
-        default=None, description="what the particle, or its core, is made of", examples=["Ag"]
+        default=None, description="material of the particle or its core", examples=["Ag"]
     )
     radius_nm: Annotated[float, Field(ge=SMALLEST_CORE_NM, le=CORE_LIMIT_NM)] | None = Field(
         default=None, description="mean radius of the core of a sphere", examples=[90]

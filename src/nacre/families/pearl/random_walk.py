@@ -51,7 +51,7 @@ from nacre.core.jit import compiled
 from nacre.core.machine import in_threads
 from nacre.families.pearl.platelet import lost_share
 
-CHUNKS = 8  # summed in this order, for any thread count
+CHUNKS = 8  # sums of walks, added in fixed order for any thread count
 ANY_ANGLE = np.array([0.0, 0.0, 0.0])  # stratified over the polar angle, at azimuth 0
 FROM_BASE = np.array([0.0, 0.0, -1.0])  # diffuse light that starts at the base
 DEFECT_WALKS = 32_768  # standard error 0.002
@@ -557,7 +557,7 @@ def _oriented_normal(d, axes, frame, local, m):
 
 @compiled(nogil=True)
 def _reflect_at_face(d, index, alpha, down):
-    """Reflect a flight inside at a face above (`down` = 1) or below (-1); return whether it stays."""
+    """Reflect light internally at the upper (`down` = 1) or lower (-1) interface; return whether it stays inside."""
     z = d[2] * down
     mx, my, mz, cos, share, _ = sample_inner_facet(d[0], d[1], z, index, alpha)
     d[0], d[1], z = reflect_inside(d[0], d[1], z, mx, my, mz, cos, share, alpha)
@@ -567,7 +567,7 @@ def _reflect_at_face(d, index, alpha, down):
 
 @compiled(nogil=True)
 def _meet_base(d, kind, table, index, alpha, f, share):
-    """Reflect a flight at the base; return whether it goes on."""
+    """Reflect light at the base; return whether it goes on."""
     if kind == 0:
         return _reflect_at_face(d, index, alpha, -1.0)
     if kind == 1:
@@ -586,7 +586,7 @@ def _meet_base(d, kind, table, index, alpha, f, share):
 
 @compiled(nogil=True)
 def _meet_oriented(d, k, flakes, tables, f, scratch, out):
-    """Meet platelet `k`; light that ends there adds its lost share to `out`; return whether it goes on."""
+    """Scatter or absorb light at platelet `k`, and add lost energy to `out`; return whether the path goes on."""
     _, axes, frame = flakes
     reflect, transmit, lose, _ = tables
     r, t, local, m = scratch

@@ -38,7 +38,7 @@ MIDPOINTS = np.array([12, 6])  # within a bin
 CHECK_DEG = (10.0, 40.0, 65.0)
 CHECK_WALKS, CHECK_SINGLES = 300_000, 1_000_000
 POWER_DEG, POWER_WALKS = (0.0, 30.0, 55.0, 75.0, 85.0), 120_000  # incidences of the reflectance's check
-ERROR_MARGIN = 2.0  # of its stated error
+ERROR_MARGIN = 2.0  # factor on the reflectance error
 TABLE_ROUGHNESS = 0.1  # expected relative second difference between nodes
 
 
@@ -63,7 +63,7 @@ def largest_power_error(lobe: Layered, table: PlateletLayer, effort: float = 1.0
 
 
 def _limited(lobe: Layered, effort: float) -> float:
-    """Return the effort for a lobe: light in dense strata costs more, and its table is smoother."""
+    """Return `effort`, reduced for many flakes: their walks cost more, and their table is smoother."""
     return effort * min(1.0, FULL_EFFORT_NUMBER / max(float(np.sum(lobe.flake_number)), 1e-9))
 
 

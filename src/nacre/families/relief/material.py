@@ -26,12 +26,12 @@ from nacre.matter.periodic.structure import MAX_UNKNOWNS
 
 # a blurred diffraction line passes within lambda / 10: 30 nm resolve the spectra
 WAVELENGTH_COUNT = 17
-DRAFT_ERROR = 1e-2  # of a draft's sampling and nodes, invisible in 8 bits
-INDEX_NM = 550.0  # for the medium's index in the coherence window
-NOTED_EXCESS = 1.2  # albedo over Fresnel from which the energy bound is stated
-LEAST_RESOLVED_DEG = 60.0  # a scan that resolves less scatter says so
-FLAT_NM = 0.05  # Sq below which a scan is a plane: less than an atom
-COARSE_BLURS = 3.0  # of the coherence window, that a scan's own width may blur
+DRAFT_ERROR = 1e-2  # error allowed in a draft by sampling and nodes; invisible in 8 bits
+INDEX_NM = 550.0  # wavelength at which the coherence window uses the medium's index
+NOTED_EXCESS = 1.2  # ratio of albedo to Fresnel reflectance above which the energy bound is reported
+LEAST_RESOLVED_DEG = 60.0  # scans that resolve scattering only up to a smaller angle give a warning
+FLAT_NM = 0.05  # a scan with a smaller Sq counts as a plane: less than an atom
+COARSE_BLURS = 3.0  # ratio of a scan's angular resolution to the coherence blur above which a warning is given
 FIGURE_POINTS = 1024
 WAY_OUT = 'model.optics = "vector" solves Maxwell\'s equations for these'
 STATISTICS = {
@@ -134,7 +134,7 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
 
     @property
     def excess_reason(self) -> str:
-        """The published prefactor, or the absence of a bound."""
+        """Why the albedo may exceed the Fresnel reflectance; "" if it cannot."""
         if self.prefactor == "published":
             return 'prefactor = "published" does not conserve energy'
         return "" if self.bounded else "bounded = false leaves scalar diffraction unbounded"

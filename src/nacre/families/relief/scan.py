@@ -41,7 +41,7 @@ MAX_WINDOWS = 64
 MOST_SKEWNESS, MOST_EXCESS, MOST_REPETITION, LEAST_CELLS = 0.5, 1.0, 0.3, 100
 LEAST_ASPECT = 0.6  # shortest over longest correlation length of an isotropic texture
 RANDOM_RANGE = 4.0  # height range, in Sq, whose phases set the nodes of exp(-(2 pi kappa Sq)^2)
-MAX_POINTS = 1 << 22  # of the part that decides on the statistics
+MAX_POINTS = 1 << 22  # points of the part from which the statistics are chosen
 AZIMUTHS = 64
 MIDDLE_NM = 550.0
 
@@ -102,7 +102,7 @@ class Scan:
 
     @functools.cached_property
     def kind(self) -> Statistics:
-        """The statistics, chosen if none is given."""
+        """The statistics as given, or those suggested by the heights."""
         return self.statistics or suggested(self.heights_nm)
 
     @functools.cached_property

@@ -18,7 +18,7 @@ from nacre.matter.indices.spec import IndexSpec
 from nacre.matter.periodic.structure import MAX_UNKNOWNS
 from nacre.recipe.model import Positive, RecipeContext, RecipeModel
 
-AUTO_UNKNOWNS = 800  # of blocks, up to which `auto` takes vector optics: some seconds for each direction
+AUTO_UNKNOWNS = 800  # unknowns of blocks up to which `auto` chooses vector optics: some seconds per direction
 
 
 class ReliefModelSpec(RecipeModel):

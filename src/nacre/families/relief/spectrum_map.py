@@ -44,14 +44,14 @@ MAX_TABLE_BYTES = 3 << 30
 FIELDS_BYTES, FIELD_BYTES_PER_SAMPLE = 1 << 30, 24
 TABLE_BLOCK = 512
 BAND_ROWS = 24  # rows of a banded matrix in one product
-NEGLIGIBLE = 1e-12  # of a Gaussian's peak, in single-precision sums
+NEGLIGIBLE = 1e-12  # fraction of a Gaussian's peak that is negligible in single-precision sums
 GUARD_COSINES, GUARD_AZIMUTHS, GUARD_WAVELENGTHS = 21, 48, 8
 GUARD_ROUNDS = 60
 LEAST_GUARDED_COSINE = 1e-4
 # allowed albedo over Fresnel: smooth reliefs conserve energy to 0.1 % and must not be scaled; between the guard's nodes
 # the albedo is lower, as they hold the maximum of their neighbourhood
 GUARD_AIM = 1.0005
-COSINES = np.linspace(0.0, 1.0, 65)  # of the coating's tabulated reflectance
+COSINES = np.linspace(0.0, 1.0, 65)  # cosines at which the coating's reflectance is tabulated
 EXCESS_ANGLES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0)
 
 

@@ -18,17 +18,17 @@ from nacre.matter.periodic.crossed_solver import rectangle_unknowns
 from nacre.matter.periodic.solve import MAX_WALLS
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Rectangle
 
-SAME = 1e-9  # of the range: heights nearer than this are equal
+SAME = 1e-9  # fraction of the range: heights closer than this are equal
 STEEPEST = 20.0  # slope of a blurred wall above which it is solved as a vertical one
-MOST_LEVELS = 16  # of vertical walls
+MOST_LEVELS = 16  # height levels with vertical walls
 FINE_NM, FINE_STEP = 50.0, 0.15  # features and steps over the range that are samples of a curve
-FINE_BLUR = 0.6  # of a feature, blur at which such steps vanish
-SMOOTH_BLUR = 0.3  # of a feature, blur above which walls need no mesh of their own
+FINE_BLUR = 0.6  # blur, in features, at which such steps vanish
+SMOOTH_BLUR = 0.3  # blur, in features, above which walls do not need a mesh of their own
 WALL_WIDTH, NEAREST = 3.0, 0.45  # half width of a wall in blurs, at most in features: elements of its own
-SAMPLES = 32  # of a feature, at which the surface is searched for its range
+SAMPLES = 32  # points per feature at which the surface is searched for its range
 MAX_PERIOD_NM = 12_000.0
-MAX_SLOPING_WALLS = 12  # of lines that are neither vertical nor smooth
-REACH = 9.0  # of a blurred wall, in its standard deviations
+MAX_SLOPING_WALLS = 12  # walls of lines that are neither vertical nor smooth
+REACH = 9.0  # extent of a blurred wall, in its standard deviations
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,8 @@ from nacre.matter.periodic.orders import Orders, solve_orders
 from nacre.matter.periodic.solve import LARGEST_ERROR
 from nacre.matter.periodic.structure import NotConvergedError, PeriodicStack
 
-TABLE_ERROR = 1e-2  # of an efficiency in the tables over directions
-TOLERANCE = {True: 1e-3, False: 2e-4}  # of an efficiency, for narrow walls and for smooth curves
+TABLE_ERROR = 1e-2  # error of an efficiency in the tables over directions
+TOLERANCE = {True: 1e-3, False: 2e-4}  # error of an efficiency, for narrow walls and for smooth curves
 BLOCKS_TOLERANCE = 4e-3
 QUARTER = 0.5 * np.pi
 
@@ -51,7 +51,7 @@ class VectorRelief(Diffracting, Fabricable):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Why the theory was chosen, and whether the orders are narrower than the light's coherence asks for."""
+        """Why the theory was chosen, and a remark if the orders are narrower than the coherence requires."""
         lines: tuple[str, ...] = (self.reason,) if self.reason else ()
         width, asked = self._width(float(self.wavelengths_nm[0])), self._coherence_width
         if width < 0.99 * asked:
@@ -68,7 +68,7 @@ class VectorRelief(Diffracting, Fabricable):
 
     @property
     def fabrications(self) -> Mapping[str, Drawer]:
-        """Those of the scalar relief."""
+        """Fabrication files, as for the scalar relief."""
         return self.scalar.fabrications
 
     @property
@@ -77,14 +77,14 @@ class VectorRelief(Diffracting, Fabricable):
         return self._coherence_width
 
     def stacks(self, wavelengths_nm: Array) -> list[PeriodicStack]:
-        """Return the structure at wavelengths; of lines with x across them."""
+        """Return the structure at wavelengths; x runs across lines."""
         body = self.scalar.coating.n_complex(wavelengths_nm)
         ambient = self.scalar.ambient
         cover = np.ones(len(wavelengths_nm)) if ambient is None else ambient.n_complex(wavelengths_nm).real
         return self.pattern.stacks(cover, body)
 
     def diffraction_orders(self, theta_rad: Array, azimuth_rad: float, wavelengths_nm: Array | None) -> Orders:
-        """Return the reflected orders: (m, n), of lines along y (m, 0), of lines along x (0, n).
+        """Return the reflected orders: (m, n), for lines along y (m, 0), for lines along x (0, n).
 
         Raises:
             NotConvergedError: the error is above the tolerance; without one, above 2e-2.

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from nacre.matter.indices.constant import OpticalConstant
 
 
-PANEL_NODES = 24  # of the quadrature between two break points
+PANEL_NODES = 24  # quadrature nodes between two break points
 
 
 class Term(Protocol):
@@ -309,7 +309,7 @@ MODELS = ("bruggeman", "maxwell-garnett", "looyenga", "lichtenecker", "linear")
 SPHERE = (1 / 3, 1 / 3, 1 / 3)
 HOMOTOPY_STEPS = 48
 NEWTON_STEPS = 30
-FRACTION_ERROR = 1e-6  # of the sum of volume fractions
+FRACTION_ERROR = 1e-6  # deviation of the sum of volume fractions from 1
 
 
 @dataclass(frozen=True)

@@ -171,7 +171,7 @@ def series(samples: Array) -> Array:
 RECTANGLE_STEPS = (6, 8, 10, 12)  # degrees
 FOURIER_STEPS = (7, 9, 10, 11, 12, 13)  # radii of the circle of orders
 GRID = 512
-ROUNDING = 1e-13  # of matrices whose elements are below 1
+ROUNDING = 1e-13  # rounding error of matrices with elements below 1
 SYMMETRIC = 1e-9  # smaller transverse wave numbers keep a mirror symmetry
 
 
@@ -545,7 +545,7 @@ def _functions(orders: tuple[tuple[int, int], ...], parities: Parities) -> _Func
             kept.append(k)
         return np.array(columns).T, np.array(kept, dtype=np.intp)
 
-    x, y = parities  # of E_z
+    x, y = parities  # parities of E_z
     flip_x, flip_y = (None if x is None else not x), (None if y is None else not y)
     made = [combined(flip_x, y), combined(x, flip_y), combined(x, y)]
     return _Functions(

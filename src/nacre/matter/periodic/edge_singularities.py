@@ -20,7 +20,7 @@ from nacre.matter.periodic.types import Array
 
 Sectors = tuple[tuple[complex, float], ...]  # permittivity and angle of each sector around an edge
 Layer = tuple[Array, Array, Array]  # permittivity left and right of each wall, and the wall's angle to x
-ITERATIONS = 25  # of Newton's method
+ITERATIONS = 25  # Newton iterations
 LEAST = 0.02  # real part: it vanishes at some edges of metal without loss
 
 

@@ -25,7 +25,7 @@ WIDE = 0.9  # walls nearer to the sides of an oblique cell, relative to its cent
 CORE = 0.55  # corners of the innermost blocks, over the first wall's distance
 THIN = 2  # degree along the radial lines in thin blocks
 SAME = 1e-9  # distance of corners that are equal, over the size of the cell
-EXTRA_POINTS = 6  # of the integrals, beyond the degree: sides are curved
+EXTRA_POINTS = 6  # additional quadrature points beyond the degree, for curved sides
 
 
 # degree along the walls, degree along the radial lines, and ends of the thin blocks over a radial line from a wall

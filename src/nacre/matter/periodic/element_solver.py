@@ -52,7 +52,7 @@ SEVERAL_WALLS: tuple[Elements, ...] = (
 )  # fmt: skip
 BEYOND = 1.3  # orders with a wave number up to this times the largest that propagates are exact
 BASES = 8  # classes of symmetry and directions whose functions are stored
-WAVE_DIGITS = 14  # of wave vectors in 1/nm
+WAVE_DIGITS = 14  # decimal places to which wave vectors in 1/nm are rounded
 MOST_WALLS = 2
 GAP = 1e-2  # least distance between walls, and from walls to the cell's sides, over the radius
 

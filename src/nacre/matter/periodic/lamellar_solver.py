@@ -214,14 +214,14 @@ def _layer_states(
 
 @lru_cache(maxsize=32)
 def _fixed(mesh: LineMesh, half: int) -> tuple[Array, Array, Array, Array, Array, tuple[Array, Array, Array]]:
-    """Return what is common to all phases.
+    """Return the quantities that do not depend on the Bloch phase.
 
     Returns:
         mass: `[region, node, node]` before periodicity, and slope: `[function, node]`.
         points: `[point]`, for the integrals.
         weighted: `[node and element, point]`, the continuous functions and the constants.
         waves: `[point, wave]`, plane waves of orders -half to half.
-        inverses: of the mass of weight 1, with what the phases change.
+        inverses: inverse mass for weight 1, and two matrices for its update to a phase.
     """
     count, nodes = len(mesh.degrees), mesh.size + 1
     mass, slope = np.zeros((count, nodes, nodes)), np.zeros((mesh.size, nodes))

@@ -22,7 +22,7 @@ from nacre.core.arrays import gauss_legendre
 from nacre.matter.periodic.types import Array
 
 GRADING = 0.18  # ratio of the sizes of neighbouring elements
-MIN_REGION = 1e-9  # of the period: walls nearer than this coincide
+MIN_REGION = 1e-9  # walls closer than this, in periods, coincide
 
 
 @dataclass(frozen=True, eq=False)

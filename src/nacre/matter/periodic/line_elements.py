@@ -41,12 +41,12 @@ from nacre.matter.periodic.structure import (
 )
 from nacre.matter.periodic.types import Array
 
-BUFFER = 0.15  # of the period: distance of the ends from the structure, over which evanescent waves lose 1 / e often
-DECAY = 20.0  # of evanescent plane waves that are left out, over the buffer, in natural logarithms
+BUFFER = 0.15  # distance of the ends from the structure, in periods, over which evanescent waves decay
+DECAY = 20.0  # attenuation over the buffer beyond which evanescent waves are omitted, natural logarithm
 PHASE = 0.7  # largest phase (or decay) across an element, over its degree
 SKINS = 9.0  # penetration depths below a metal surface with separate elements
 MAX_ELEMENTS = 3000
-ALONG = 0.2  # of k^2 in the cover, below which errors, which grow as its inverse, need the next size
+ALONG = 0.2  # fraction of the cover's k^2 across the lines; below it, errors grow as the inverse and need the next size
 MAX_INWARD = 3.0  # largest distance times k0 and the index over which responses are moved inward
 SIZES = ((4, 1), (6, 2), (8, 3), (10, 4), (12, 5))  # degree and grading layers
 
@@ -99,7 +99,7 @@ def solve_elements(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: f
         efficiency = np.sum(np.abs(jones) ** 2, axis=1) * (beta / k_z)[:, None]
         return OrderSet(orders, np.column_stack([waves, sign * beta]), jones, efficiency)
 
-    entry = np.exp(-1j * k_z * grid.high)  # of the incident wave, whose phase is 0 at the structure's top
+    entry = np.exp(-1j * k_z * grid.high)  # incident wave, with phase 0 at the structure's top
     reflected = side_of(entry * (ends[0] - light), stack.cover, 1.0, grid.high)
     transmitted = empty_orders()
     if stack.is_clear:
@@ -255,7 +255,7 @@ class _Side:
             away, back, gamma = self._fluxes(epsilon)
             decay = np.exp(1j * gamma * thickness)[:, None, None]
             found = np.linalg.solve(back - self.y, np.concatenate([self.y - away, self.s], axis=2))
-            share, far = decay * found[:, :, :2], found[:, :, 2:]  # of e at the outer face
+            share, far = decay * found[:, :, :2], found[:, :, 2:]  # field e at the outer face
             r, given = decay * share, decay * far
             self.steps.append((one + r, given, decay * one + share, far))
             self.y = np.linalg.solve((one + r).swapaxes(1, 2), (away + back @ r).swapaxes(1, 2)).swapaxes(1, 2)
@@ -384,12 +384,12 @@ def _checked(rows: int, columns: int, k0: float) -> None:
 
 
 def wall_lines(tilted: Sequence[tuple[PatternLayer, tuple[float, ...]]], period: float) -> Array:
-    """Return where all walls lie at each face between layers, `[face, line]`, ascending; faces from the top down.
+    """Return the positions of all walls at each face between layers, `[face, line]`, ascending; faces from the top.
 
-    A wall goes on through other layers at a fixed place between their walls.
+    In other layers a wall continues as a line at a fixed relative position between their walls.
 
     Args:
-        tilted: layers with the shapes at half the height, and how much narrower each shape is at the top, per side.
+        tilted: layers with the shapes at half the height, and by how much each side of a shape is inset at the top.
 
     Raises:
         WallsMeetError: walls meet, within a layer or only at one of its faces.
@@ -454,7 +454,7 @@ def _wall_grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> Gri
     values = [values_at(layer, x, stack.cell.period_x) for (layer, _), x in zip(inner, centers, strict=True)]
     index = max([stack.reach, *(float(np.sqrt(np.asarray(v, dtype=complex)).real.max()) for v in values)])
     width = np.diff(placed, append=placed[:, :1] + period, axis=1)
-    least = 0.25 * GRADING**layers * period  # of elements at the ends of a graded region, but for a factor of 2
+    least = 0.25 * GRADING**layers * period  # smallest elements at the ends of a graded region, within a factor of 2
     fractions = [
         _graded(1.0, layers, (True, True), PHASE * degree / (index * w.max()), least / w.max()) for w in width.T
     ]

@@ -29,7 +29,7 @@ from nacre.matter.periodic.structure import GRAZING, PeriodicStack, transverse_a
 from nacre.matter.periodic.types import Array
 
 NEAR = 1.2  # orders with a wave number up to this times the index are channels
-FAINT_K = 0.3  # of a substrate whose anomalies lines still show
+FAINT_K = 0.3  # extinction of a substrate up to which anomalies of lines are visible
 LEAST_NODES, EVEN_NODES, MOST_NODES = (6, 8), (8, 8), 40  # along both axes
 EXPENSIVE = "rectangles", "fourier", "ovals", "profile", "elements"
 TAIL = {True: 2e-3, False: 5e-4}  # largest of the last coefficients, if solutions are expensive and if not
@@ -47,7 +47,7 @@ class Channels:
         k0: in 1/nm.
         lattice: `[2, 2]`, rows of the reciprocal lattice over k0; the second is 0 for lines.
         span: `[2, 2]`, rows that span the cell: transverse = u @ span, u from -1 to 1.
-        upper, lower: `[order, 2]`, numbers.
+        upper, lower: `[order, 2]`, order numbers.
     """
 
     stack: PeriodicStack
@@ -78,7 +78,7 @@ class Channels:
         return np.asarray(scipy.linalg.block_diag(*parts))
 
 
-Symmetry = tuple[Array, bool]  # of the response: `turn` of `Channels.image`, and whether it is transposed as well
+Symmetry = tuple[Array, bool]  # symmetry of the response: `turn` of `Channels.image`, and whether it is also transposed
 
 
 def channels_of(stack: PeriodicStack, wavelength_nm: float) -> Channels:

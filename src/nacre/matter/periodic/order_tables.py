@@ -49,7 +49,7 @@ from nacre.matter.periodic.structure import (
 SYMMETRY_POINTS = 1000  # at which the distance to a shape is compared with that of its image
 MAX_THETA = float(np.radians(89.5))  # light beyond is taken as here
 FITTED, PROFILE = (91, (1152, 576, 288, 144, 72)), (16, 48)  # nodes from 0 to 90 degrees, and of a whole turn
-MOST_NUMBERS, MOST_WORK = 2.4e7, 2e10  # of the tables, and of the linear systems of all directions, their sizes cubed
+MOST_NUMBERS, MOST_WORK = 2.4e7, 2e10  # limits: values in the tables; sum of cubed sizes of all linear systems
 FEW = 12, 16  # nodes of tables whose size follows from an error: larger solutions, fewer of them
 CHECKS = 6  # directions at which the error is estimated
 CHECKED = 2e-3  # tolerance there for sloping walls, which else take most of the time
@@ -268,7 +268,7 @@ class Parts:
         drop_arrays(f"{self.key}-{label}" for label in self.used)
 
 
-Row = list[tuple[NDArray[np.int64], Array]]  # of both sides: numbers `[order, 2]` and efficiencies `[..., order]`
+Row = list[tuple[NDArray[np.int64], Array]]  # per side: order numbers `[order, 2]` and efficiencies `[..., order]`
 
 
 def _fits(

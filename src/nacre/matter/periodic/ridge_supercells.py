@@ -382,7 +382,7 @@ def controlled(found: Array, factors: Array, expected: Array) -> Array:
 
 
 def truncation_error(case: RidgeCase) -> float:
-    """Return the share of the light along the normal that moves between orders with half as many again solved."""
+    """Return the share of the light along the normal that moves between orders if 1.5 times as many are solved."""
     cell = drawn_ridges(case.statistics, 0)
     few, many = (
         reflected_fan(

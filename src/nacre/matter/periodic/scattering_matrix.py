@@ -22,9 +22,9 @@ Solver = Callable[[Array], Array]
 SHORT_RULE = 3  # doublings
 WELL_CONDITIONED = 1e3  # eigenvectors, by the product of the norms over the size
 FRACTION_REACH = (
-    192.0  # of |u|: the fraction of tan(sqrt u) / sqrt u is exact to 1e-8 there; energy is always conserved
+    192.0  # |u| up to which the continued fraction of tan(sqrt u) / sqrt u is exact to 1e-8; energy is always conserved
 )
-TERMS = 17  # of the fraction
+TERMS = 17  # terms of the continued fraction
 HERMITIAN = 1e-12  # rounding of matrices without loss, over their largest entry
 
 

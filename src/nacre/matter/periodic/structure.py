@@ -13,7 +13,7 @@ import numpy as np
 from nacre.core.errors import NacreError
 from nacre.matter.periodic.types import Array
 
-MAX_UNKNOWNS = 1500  # of one system: some ten seconds
+MAX_UNKNOWNS = 1500  # unknowns in one linear system: some ten seconds
 NORMAL = 1e-14  # smaller transverse wave numbers are zero
 CLEAR_K = 1e-6  # a substrate with a smaller k transmits orders
 LEAST_ELEVATION = 4e-7  # angle between light and the surface, below which k_z loses its digits; it is taken as this

@@ -18,7 +18,7 @@ from nacre.core.machine import parallel_for
 from nacre.matter.stack.anisotropic_kernel import SEPARATION, solve_stacks
 from nacre.matter.stack.solve import mueller
 
-FEWEST_SLICES = 32  # of half a turn of a helix
+FEWEST_SLICES = 32  # minimum for half a turn of a helix
 
 
 @dataclass(frozen=True)

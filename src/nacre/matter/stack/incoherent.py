@@ -21,7 +21,7 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.matter.stack.inputs import Powers, StackArrays, kernel_powers, normal_component, part_of, prepare, run_kernel
 
-EXCESS = 0.02  # of R + T above 1, beyond which intensities do not add
+EXCESS = 0.02  # excess of R + T over 1 beyond which intensities do not add
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ LARGEST_INDEX = 1e6  # its cube stays far from overflow
 CLEAR_K = 1e-4  # an ambient with smaller absorption counts as clear
 GRAZING_COS = 1e-12  # smaller cosines count as exactly 90 degrees, with R = 1 and T = 0
 FEW_WAVELENGTHS = 16  # the kernel runs along the wavelengths; shorter axes are joined with the angles
-CALL_WORK = 2000  # of a stack in NumPy, in points times interfaces
+CALL_WORK = 2000  # NumPy's overhead per stack, in points times interfaces
 GATHER_LIMIT = 1_000_000  # limit of complex values copied for joined axes
 
 

@@ -30,7 +30,7 @@ logger = logging.getLogger("nacre")
 # nodes per parameter, by parameter count
 FIRST_NODES = {1: 17, 2: 9}
 MAX_NODES = {1: 2049, 2: 257}
-DEFAULT_EVALUATIONS = {1: 257, 2: 1089}  # of materials that are not computed in batches
+DEFAULT_EVALUATIONS = {1: 257, 2: 1089}  # limit for materials that are not computed in batches
 FINE = {1: 8192, 2: 512}  # interpolated grid points
 SPLINE_ERROR = 0.1  # largest interpolation dE00
 SPLINE_PERCENTILE = 99.9  # share within that error

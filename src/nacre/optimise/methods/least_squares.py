@@ -214,7 +214,7 @@ class LeastSquaresSearch(Search):
         super().__init__(problem.task.spec.search.solutions)
         self.problem = problem
         self.options = LeastSquaresOptions() if options is None else options
-        self.samples: int | None = None  # of Monte Carlo materials
+        self.samples: int | None = None  # for Monte Carlo materials
         self.sufficient_samples = 0
 
     def _search(self, known: Sequence[Mapping[str, Any]]) -> None:
@@ -345,8 +345,8 @@ class LeastSquaresSearch(Search):
 INTERVALS = ("auto", "linear", "profile", "resampling")
 NONLINEAR = 0.3  # relative deviation of the loss at the linear interval's ends from a quadratic
 BRACKETS = 12  # steps of the search for an interval's end
-END_TOL = 0.02  # of an interval's end, relative to its half width
-DRAWS = 100  # of resampling
+END_TOL = 0.02  # error of an interval's end, relative to its half width
+DRAWS = 100  # bootstrap samples
 
 Residuals = Callable[[Array], Array]
 

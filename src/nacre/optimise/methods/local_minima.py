@@ -19,7 +19,7 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.machine import in_threads
 
-MAX_STEP = 0.2  # of the bounds
+MAX_STEP = 0.2  # fraction of the range between the bounds
 XTOL = 1e-6  # smallest step, and smallest relative step gain
 MAX_DAMPING = 1e4
 
@@ -32,7 +32,7 @@ class Descent:
     residuals: Array
     jacobian: Array | None = None
     damping: float = 1e-2
-    weights: Array | None = None  # of each residual
+    weights: Array | None = None  # one per residual
     is_converged: bool = False
 
     @property
@@ -233,7 +233,7 @@ class BasinHopping:
         )
 
     def _hop(self) -> bool:
-        """Add the minima next to the best one that was not hopped from; return whether there was one."""
+        """Add descents from minima along the axes through the best unused minimum; return whether there was one."""
         new = [end for end in self.minima if not any(end is other for other in self._hopped)]
         if not new:
             return False

@@ -27,7 +27,7 @@ from nacre.optimise.problem import STOP_TOL, Problem, Search
 
 COARSE_NM = np.linspace(400.0, 700.0, 11)  # smooth spectra have colours within a few 0.1 dE00
 DRAFT_NM = np.linspace(400.0, 700.0, 9)
-DRAFT_COST = 0.6  # of a draft relative to a candidate on as many wavelengths
+DRAFT_COST = 0.6  # cost of a draft relative to a candidate on as many wavelengths
 
 
 @dataclass(frozen=True)

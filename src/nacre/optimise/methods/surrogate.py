@@ -35,7 +35,7 @@ from nacre.optimise.task import DesignTask
 from nacre.recipe.paths import is_within
 
 SUBSET_NM = np.linspace(400.0, 700.0, 14)  # enough for flakes of spread thickness, at half the time
-COARSE_COST, TEXTURE_COST = 0.1, 0.5  # of a coarse surrogate relative to a fine one, without and with texture
+COARSE_COST, TEXTURE_COST = 0.1, 0.5  # cost of a coarse surrogate relative to a fine one, without and with texture
 WALKS_PER_EVALUATION = 16_384  # Monte Carlo walks that cost as much as a fine surrogate
 
 
@@ -239,7 +239,7 @@ class SurrogateSearch(Search):
         return self.is_met and len(self.archive.solutions) >= self.solution_count
 
     def solutions(self) -> list[tuple[float, Changes]]:
-        """Return distinct solutions, best first; of equally good ones, those with the fewest tables."""
+        """Return distinct solutions, best first; among equally good ones, those with the fewest tables."""
         self.archive.add(self.best, self.best_changes)
         objective, point = self._unconfirmed
         if objective < self.options.unconfirmed_ratio * self.best and self.best > self.options.poor_objective:

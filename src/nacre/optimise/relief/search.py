@@ -408,8 +408,8 @@ def _flip(evaluator: Evaluator, x: Array, value: float, steps: int, is_over: Cal
     return x
 
 
-FIRST_STEP, LAST_STEP = 0.08, 0.01  # of the largest height
-TOLERANCE = 2e-2  # of an efficiency, for candidates
+FIRST_STEP, LAST_STEP = 0.08, 0.01  # fraction of the largest height
+TOLERANCE = 2e-2  # error of an efficiency, for candidates
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,7 @@ class ReliefTask(Task):
             "coherence": spec.coherence.model_dump(exclude_none=True),
         }
         if spec.search.refine is not None:
-            del data["prefactor"]  # of scalar theory
+            del data["prefactor"]  # a key of scalar theory only
             data["model"] = {"optics": spec.search.refine}
         write_text(folder / RECIPE, dump_toml(data))
 

@@ -36,7 +36,7 @@ from nacre.recipe.paths import EVERY
 ENGINE_GEOMETRIES = ("specular", "transmitted")
 SIDES = {"specular": "reflected", "transmitted": "transmitted"}
 OWN_WAVELENGTHS = (16, 600)  # target spectra with as many wavelengths define the grid
-STEP_NM = 2.0  # of the grid for target spectra otherwise
+STEP_NM = 2.0  # grid step for other target spectra
 _LAYER = re.compile(r"layers\[(\d+)\]\.(material|thickness_(?:nm|um|mm))$")
 _TOLERANCE = re.compile(r"layers\[(\d+|\*)\]\.thickness_(nm|um|mm)$")
 

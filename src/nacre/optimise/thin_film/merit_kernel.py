@@ -17,9 +17,9 @@ from nacre.optimise.merit import KINDS, MEAN_SHARE, MeritFunction, Operand
 
 COLOUR, HUE, CHROMA, LIGHTNESS, SPECTRUM = range(len(KINDS))
 UNSPECIFIED = -1.0
-STEP = 1e-5  # of Lab, for forward differences
+STEP = 1e-5  # step in Lab for forward differences
 HUE_MARGIN = 4.0  # degrees per dE00, at a chroma of some 40
-SOFT = 0.08  # of the tolerance: width over which failures are smoothed
+SOFT = 0.08  # width over which failures are smoothed, as a fraction of the tolerance
 RADIANS = math.pi / 180.0
 
 

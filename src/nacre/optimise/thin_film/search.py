@@ -28,7 +28,7 @@ from nacre.optimise.thin_film import genetic
 from nacre.optimise.thin_film.levenberg_marquardt import descend, keep_total, workspace
 from nacre.optimise.thin_film.merit_kernel import compile_merit
 
-YIELD_DRAWS = 64  # of the search; common random numbers for all stacks
+YIELD_DRAWS = 64  # draws in the search; common random numbers for all stacks
 SEARCH_YIELD_SEED = 20
 METAL_K = 0.7  # at the middle wavelength; opaque after about 100 nm, hence drawn thin
 COARSE_NM = (384.0, 731.0)  # wavelengths beyond change colours by less than dE00 0.05
@@ -211,12 +211,12 @@ class GeneticOptions:
     Attributes:
         population_size: structures per island.
         offspring: stacks per batch; `batches` batches, each with its own seed, are a generation.
-        fresh_share: offspring drawn anew.
-        margin: of the tolerance, by which ranges are narrowed.
-        search_share, robust_search_share: of the budget before the refinement; with manufacturing tolerances.
-        ladder_share: of the search, for fewer layers than allowed if few are preferred.
-        stall_generations, min_gain: generations without that relative gain end an island.
-        merge_every: every such island is populated by the best of all.
+        fresh_share: fraction of the offspring that are random stacks.
+        margin: fraction of the tolerance by which target ranges are narrowed.
+        search_share, robust_search_share: fraction of the budget before the refinement, without and with tolerances.
+        ladder_share: fraction of the search that tries fewer layers than allowed, if few are preferred.
+        stall_generations, min_gain: an island ends after so many generations with a smaller relative gain.
+        merge_every: each island whose number is a multiple starts with the best stacks of all earlier ones.
         finalists, final_steps: stacks refined on all wavelengths, and steps for each.
         yield_draws: yield samples.
         stop_failure: failing share at which a search for yield ends.

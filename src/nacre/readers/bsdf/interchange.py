@@ -287,7 +287,7 @@ def _column(
 # BSDF matrices of WINDOW and Radiance (`<WindowElement>` XML) in a basis of patches such as Klems'.
 #
 # A block gives a matrix, a row for each outgoing and a column for each incident patch, in 1/sr. Directions are those of
-# the patches' centres, with azimuths as the basis counts them.
+# the patches' centres, with the azimuth convention of the basis.
 
 
 @dataclass(frozen=True)

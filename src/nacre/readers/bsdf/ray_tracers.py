@@ -21,7 +21,7 @@ from nacre.readers.text_table import load_text, row_of_numbers
 
 FIRST = re.compile(r"(?im)^[^\S\n]*type\s+bsdf_data\b")
 KNOWN = {"angles": ("deg", "rad"), "bsdf": ("value",)}
-STEEP_DEG, NEAR_DEG, CONTRAST = 15.0, 60.0, 1.5  # of incidence; of azimuth; of the sides
+STEEP_DEG, NEAR_DEG, CONTRAST = 15.0, 60.0, 1.5  # limits of incidence and azimuth, and ratio of the two sides
 
 
 def sniff_fred(head: FileHead) -> float:

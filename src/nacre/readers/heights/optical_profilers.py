@@ -39,7 +39,7 @@ from nacre.readers.registry import CERTAIN, FileHead
 
 AL3D_MAGIC = b"AliconaImaging\0\r\n"
 TAG_BYTES, KEY_BYTES = 52, 20
-SAME = 1.5e-7  # relative, for the marker of holes in single precision
+SAME = 1.5e-7  # relative tolerance for the single-precision value that marks holes
 
 
 def sniff_al3d(head: FileHead) -> float:
@@ -147,7 +147,7 @@ def _inflated(data: bytes, start: int, expected: int) -> bytes:
 PLAIN, ZIPPED = (b"VK3_", b"VK4_"), (b"VK6", b"VK7")
 MEMBER = "Vk4File"
 MAX_BYTES = 2 << 30
-OFFSETS = 12  # of the table of offsets: settings first, then pictures; three maps of heights are the 7th to 9th
+OFFSETS = 12  # entries in the table of offsets: settings, then pictures; the 7th to 9th are height maps
 LATERAL = 42 * 4  # from the settings: pm per point along x and y, and per digit
 PALETTE = 28 + 768  # head and palette of a map
 CALIBRATION = re.compile(r"xy\s*calibration", re.IGNORECASE)

@@ -646,7 +646,7 @@ class _Tree:
             self.position += values.nbytes
             return values
         if kind not in "SO" or count > len(self.data):
-            raise ValueError(f'a component of type "{kind}"')
+            raise ValueError(f'the type "{kind}" of a component is not known')
         return [self.text() if kind == "S" else self.object(depth + 1) for _ in range(count)]
 
 

@@ -168,7 +168,7 @@ def asked_unit(path: Path, options: ReadOptions, what: str = "heights") -> float
 
     Raises:
         AmbiguousFileError: no unit is given.
-        NacreError: it is no length.
+        NacreError: it is not a length.
     """
     if options.unit is None:
         raise AmbiguousFileError(
@@ -267,8 +267,8 @@ def chosen(path: Path, maps: Sequence[Measurement], others: Sequence[str], optio
 # Tilt and roughness of height maps: least-squares plane, Sq, Sdq and autocorrelation length (ISO 25178-2).
 
 MOST_HOLES = 0.1  # share of holes that is filled
-DECAY = float(np.exp(-1.0))  # of the autocorrelation at the correlation length of a Gaussian or an exponential
-MAX_POINTS = 1 << 22  # of the central part whose autocorrelation is computed
+DECAY = float(np.exp(-1.0))  # value of a Gaussian or exponential autocorrelation at its correlation length
+MAX_POINTS = 1 << 22  # points in the central part whose autocorrelation is computed
 FILL_STEPS = 200
 
 

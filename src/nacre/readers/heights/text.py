@@ -94,7 +94,7 @@ def read_holography(path: Path, options: ReadOptions) -> list[Measurement]:
 
 # Points x y z of a rectangular grid as text, in any order.
 
-TOLERANCE = 1e-3  # of a step, for positions on a grid
+TOLERANCE = 1e-3  # deviation of grid positions, in steps
 XYZ_HEADING = re.compile(
     r"^\W*x(_\w\w?)?\b[^\n]*?\by(_\w\w?)?\b[^\n]*?\b(z|h|height|höhe)(_\w\w?)?\b[^\n]*$", re.IGNORECASE
 )

@@ -546,4 +546,4 @@ def check_count(path: Path, stated: float | str | None, got: int, what: str) -> 
     except (ValueError, IndexError):
         return
     if expected != got:
-        raise NacreError(f"{path}: {what} states {expected} points, and {got} are there; the file is cut or damaged")
+        raise NacreError(f"{path}: {what} states {expected} points, but has {got}; the file is cut or damaged")

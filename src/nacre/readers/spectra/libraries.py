@@ -29,7 +29,7 @@ from nacre.readers.units import to_nm
 
 DELETED = -1e30  # at most; the library writes -1.23e34
 MOST = 2.0  # typical reflectance; the library holds factors
-MAX_BYTES = 4 << 20  # of a file of wavelengths; the longest has 4,280 rows
+MAX_BYTES = 4 << 20  # size of a wavelength file; the longest has 4,280 rows
 _TITLE = re.compile(r"\s*(splib07\w*|s07_\w+)\s+Record\s*=\s*(\d+)\s*:\s*(.*?)\s*$", re.IGNORECASE)
 _KINDS = {"AREF": "absolute reflectance", "RREF": "relative reflectance", "RTGC": "ground-calibrated reflectance",
           "TRAN": "transmittance"}  # fmt: skip

@@ -318,7 +318,7 @@ def _factors(flow: Array, totals: Array, weights: Array, is_below: NDArray[np.bo
 
 
 NO_ENSEMBLE = "aligned particles have no ensemble, so the error of their mean field is not measured"
-NODES = np.linspace(0.0, 1.0, 129), np.linspace(0.0, 1.0, 33)  # of the specular tables, below and beyond
+NODES = np.linspace(0.0, 1.0, 129), np.linspace(0.0, 1.0, 33)  # specular tables, below and beyond the critical angle
 SPECULAR_STEPS = 72  # specular table azimuths; the interpolation error is 0.4 % of the variation
 LEFT_OUT = 5e-4  # relative rms for all omitted Fourier terms in f
 MOST_TERMS = 48

@@ -34,7 +34,7 @@ from nacre.families.metasurface.tmatrix.substrate import Substrate
 HARMONICS = 8  # harmonics in the tables; higher ones are below 0.3 % of the largest value
 LOW_OPAQUE = 48  # angles above a thin opaque structure
 LOW_CLEAR = (32, 24, 16)  # thin and on a clear substrate: above, below within and beyond the critical angle
-MOST_NODES = 257  # of the specular tables
+MOST_NODES = 257  # nodes of the specular tables
 ACCEPTED = (2e-3, 2e-3)  # error of R and T, below which 65 nodes suffice or intervals are not halved
 CHECKED_ANGLES = 30
 GRAZING_COS = 1e-3  # replaces 0, at which the monolayer wave diverges

@@ -213,7 +213,7 @@ def stack_contour(
     Args:
         reach: the largest distance, times k.
         depth: contour depth, in k.
-        steep_reach: distance, times k, up to which steep waves at its end matter.
+        steep_reach: distance, times k, up to which the strongly evanescent waves at its end contribute.
         quick: two thirds of the nodes; error 2e-5 (largest sum) rather than 1e-6, the maximum over 60 random
             stacks.
     """

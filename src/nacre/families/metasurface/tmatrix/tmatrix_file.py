@@ -111,7 +111,7 @@ def _check_passive(matrix: ComplexArray) -> None:
 SHAPES = ("sphere", "spheroid", "cylinder")  # axisymmetric shapes in the format
 # below 0.8 of these index x wavenumber x radius (zeros of j_(l-1)) a sphere has no magnetic resonance of order l
 BELOW_RESONANCE = 0.8 * np.array([3.1416, 4.4934, 5.7635])
-CLEAR_SHARE = 1e-3  # of the largest element of T: errors of a mesh are smaller
+CLEAR_SHARE = 1e-3  # fraction of the largest element of T: errors of a mesh are smaller
 SMALL_SPHEROID = 0.7  # wavenumber times half axis up to which the Gans dipole tells a matrix from its conjugate
 REACH, ROUNDED = "circumscribing_radius", 1e-9  # geometry dataset; relative length rounding
 ELECTRIC, MAGNETIC = ("electric", "tm", "n"), ("magnetic", "te", "m")
