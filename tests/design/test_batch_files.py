@@ -70,7 +70,7 @@ def test_a_row_may_contain_a_colour_per_target(tmp_path: Path) -> None:
         ("U,V,W\n1,2,3\n", r"l.csv: .*U"),
         ("L,a,b\n", r"l.csv: contains no colours"),
         ("", r"l.csv: contains no colours"),
-        ("a\0b", r"l.csv: is not a CSV"),
+        ("a\0b", r"l.csv: is not a"),
     ],
 )
 def test_bad_rows_are_refused_with_their_line(

@@ -424,7 +424,7 @@ BROKEN = {
     "no unit": (lambda f: f["vacuum_wavelength"].attrs.__delitem__("unit"), "without a unit"),
     "odd unit": (lambda f: f["vacuum_wavelength"].attrs.__setitem__("unit", "parsec"), "no unit of length"),
     "nan": (_scaled(np.nan), "not finite"),
-    "gain": (_scaled(4.0), "radiates more than it gets"),
+    "gain": (_scaled(4.0), "radiates more"),
     "not axisymmetric": (_tilted, "of what it scatters depends on its turn"),
     "handed": (_handed, "handed particle, with no mirror plane"),
     "not reciprocal": (_one_way, "not reciprocal"),

@@ -114,7 +114,7 @@ def instrument_of(material: Material) -> InstrumentSpec:
     """Return the recipe's `[instrument]` table.
 
     Raises:
-        RecipeError: naming key, value and what is allowed.
+        RecipeError: naming key, value and the allowed values.
     """
     table = material.data.get("instrument")
     if not table:

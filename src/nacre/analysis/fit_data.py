@@ -77,7 +77,7 @@ class Joint:
 
     @property
     def places(self) -> list[slice]:
-        """Where each part stands in the values."""
+        """Position of each part in the values."""
         ends = np.cumsum([0, *(part.values.size for part in self.parts)])
         return [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:])]
 

@@ -309,7 +309,7 @@ def _without_noise(waves: Array, values: Array) -> NDArray[np.bool_]:
 
 
 def _without_repeated_rows(one: _Series) -> _Series:
-    """Return a series without rows that stand twice, identical."""
+    """Return a series without duplicate rows."""
     rows = np.stack([one.angles_deg, one.wavelengths_nm, one.values], axis=1)
     _, keep = np.unique(rows, axis=0, return_index=True)
     keep = np.sort(keep)

@@ -106,7 +106,7 @@ class Report:
         transmission_haze: ASTM D1003 percentage, None for an opaque material.
         noise: largest standard error of a reflectance factor, 0 without a random walk.
         surface: roughness of a measured surface, such as `sq_um`.
-        texture: sparkle and graininess, if asked for.
+        texture: sparkle and graininess, if requested.
         selective: band in which one hand of circular light is reflected, at "0" and "45" degrees, if there is one.
         order_width_deg: standard deviation of each order of a grating; None for other materials.
     """

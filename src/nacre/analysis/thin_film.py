@@ -25,7 +25,7 @@ from nacre.material.material import Material, material_from_data
 ANGLES_DEG = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0])
 THICKNESSES_NM = np.concatenate([np.arange(0.0, 1000.0, 20.0), np.arange(1000.0, 2001.0, 40.0)])
 INDICES = np.arange(1.1, 2.71, 0.1)
-# kinds of lobes that the film stands for
+# kinds of lobes that the film represents
 MIRRORS = ("specular", "aligned-specular", "microfacet", "aligned-microfacet")
 LOWEST_INDEX, HIGHEST_INDEX = 1.0, 3.0
 MAX_F0 = 0.98

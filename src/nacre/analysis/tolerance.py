@@ -46,7 +46,7 @@ class ToleranceResult:
         sensitivities: (path or group, dE00 per standard deviation at the worst angle, variance share), largest first.
         contributions: (source, dE00 per standard deviation at the worst angles, variance share) of the causes of one
             source together, largest first.
-        texture: of each quantity asked for.
+        texture: per requested quantity.
         failed: draws that could not be computed; they count as outside the limit.
         clipped: path -> share of draws that were cut off at 0.
     """

@@ -20,7 +20,7 @@ from nacre.core.arrays import Array, interpolate, node_coordinate
 UNITS = 2**FINEST_LEVEL  # nodes are whole numbers of 2^-FINEST_LEVEL
 UNIFORM_LEVELS = 7, 9
 FINE_ERROR = 1e-4  # error of R and T where 513 nodes suffice
-ALLOWED_ERROR = 1.5e-3  # midway between nodes, where more are needed
+ALLOWED_ERROR = 1.5e-3  # error midway between nodes, where more nodes are needed
 CHECKED_ERROR = 2.5e-3  # at the check's angles, which refine further
 CHECK_ROUNDS = 16
 ERROR_MARGIN = 2.0  # factor on stated errors: checks have a few hundred angles

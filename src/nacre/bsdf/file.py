@@ -161,7 +161,7 @@ def _encode(value: Any, where: str, arrays: dict[str, NDArray[Any]], axes: dict[
         if isinstance(value, Texture) and field.name == "is_stepped" and not inner:
             continue  # keeps files without such a texture readable for older versions
         if field.name in getattr(type(value), "OMITTED_UNSET", ()) and (inner is None or inner is False):
-            continue  # likewise
+            continue  # as above
         fields[field.name] = _encode(inner, at, arrays, axes, path)
         if at in arrays and field.name in named:
             axes[at] = named[field.name]

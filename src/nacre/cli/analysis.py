@@ -152,7 +152,7 @@ def report(
 def _texture(
     is_asked: bool, patch: str | None, instrument: str | None, illuminant: str, observer: str, seed: int
 ) -> Callable[[Material], Texture | None]:
-    """Return the function that computes a material's texture, or None without being asked."""
+    """Return the function that computes a material's texture, or None if it was not requested."""
     from nacre.core.files import check_writable
     from nacre.measure.texture import measure_texture, read_instrument
 
@@ -194,7 +194,7 @@ def _standard(
 
 
 def _with_standard(geometries: tuple[str, ...], colours: dict[str, Any] | None) -> tuple[str, ...]:
-    """Return the further geometries with those of a standard that no report has by itself."""
+    """Return the additional geometries, with those of a standard that reports do not include by default."""
     from nacre.measure.geometry import ASPECULAR_DEG, Geometry
 
     named = [text.rpartition("=")[0] or text for text in geometries]

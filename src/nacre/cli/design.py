@@ -336,12 +336,12 @@ def _print_curve(beside: Path) -> None:
 @click.command()
 @click.argument("targets", nargs=-1, required=True, metavar="TARGET.toml...")
 @click.option("-o", "output", default=None, metavar="FOLDER",
-              help="Default: the name of the target; of several targets it holds a folder each.")  # fmt: skip
+              help="Default: the name of the target; several targets get a folder each inside.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Resume a stopped run of the same target.")
 @click.option("--batch", default=None, metavar="COLOURS.csv",
               help="Correct a batch with these colours (geometry, L*, a*, b*) by additions; needs --made.")  # fmt: skip
 @click.option("--made", default=None, metavar="FOLDER", help="Formulation that the batch was made by.")
-@click.option("--answer", type=click.IntRange(1, 20), default=1, show_default=True, help="Number of its answer.")
+@click.option("--answer", type=click.IntRange(1, 20), default=1, show_default=True, help="Number of the solution.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common.cache_option
 @common.jobs_option

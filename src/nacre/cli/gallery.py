@@ -42,22 +42,22 @@ class PictureSpec(RecipeModel):
 
     recipe: str = Field(description="file of the recipe that is shown")
     title: str = Field(description="caption on the contact sheet")
-    scene: str = Field(default="sphere", description="scene, as `nacre render --scene` takes it")
+    scene: str = Field(default="sphere", description="scene, as for `nacre render --scene`")
     shape: str | None = Field(
-        default=None, description="shape, as `nacre render --shape` takes it; the scene's own if not given"
+        default=None, description="shape, as for `nacre render --shape`; the scene's own if not given"
     )
     light: str | None = Field(
-        default=None, description="light, as `nacre render --light` takes it; the scene's own if not given"
+        default=None, description="light, as for `nacre render --light`; the scene's own if not given"
     )
     illuminant: str = Field(default="D65", description="spectrum of the light, such as D65 or A")
     components: str = Field(
-        default="sum", description="parts of the reflection that are shown, as `nacre render --components` takes them"
+        default="sum", description="parts of the reflection that are shown, as for `nacre render --components`"
     )
     exposure: float | Literal["auto"] = Field(default="auto", description="exposure in stops, or auto")
     view_turn_deg: float = Field(default=0.0, description="turns the view round the object")
     light_turn_deg: float = Field(default=0.0, description="turns the light round the object")
     ratio: float = Field(default=1.0, gt=0, le=1, description="height of the picture over its width")
-    zoom: float | None = Field(default=None, description="magnification, as `nacre render --zoom` takes it")
+    zoom: float | None = Field(default=None, description="magnification, as for `nacre render --zoom`")
     spp: float = Field(default=1.0, description="times the usual number of samples")
     quick: bool = Field(default=False, description="whether it is part of `nacre demo --quick`")
     name: str | None = Field(default=None, description="name of the picture's file; the recipe's if not given")
@@ -79,7 +79,7 @@ class RowSpec(RecipeModel):
     columns: Annotated[int, Field(ge=1)] = Field(description="number of materials in a row")
     title: str = Field(description="caption on the contact sheet")
     name: str = Field(description="name of the animation's file")
-    scene: str = Field(description="scene, as `nacre render --scene` takes it")
+    scene: str = Field(description="scene, as for `nacre render --scene`")
     animate: Literal["light", "view"] = Field(description="what moves")
     cell: tuple[int, int] = Field(description="width and height of one material's picture, in pixels")
     spp: float = Field(default=1.0, description="times the usual number of samples")
@@ -94,7 +94,7 @@ class PlotSpec(RecipeModel):
 
     recipe: str = Field(description="file of the recipe that is drawn")
     title: str = Field(description="caption on the contact sheet")
-    kind: str = Field(description="kind of the figure, as `nacre plot --kind` takes it")
+    kind: str = Field(description="kind of the figure, as for `nacre plot --kind`")
     quick: bool = Field(default=False, description="whether it is part of `nacre demo --quick`")
 
 

@@ -233,7 +233,7 @@ def read(
     files: tuple[str, ...], as_json: bool, show: int, plot: str | None, output: str | None, format_id: str | None,
     **given: Any,
 ) -> None:  # fmt: skip
-    """Say what FILE contains: format, quantities, units, range, and what was assumed or left out."""
+    """Show the content of FILE: format, quantities, units, range, and assumed or omitted values."""
     from nacre.readers.measurement import ReadOptions, describe, lines, write_measurements
 
     for path in filter(None, (plot, output)):

@@ -39,7 +39,7 @@ SCENES = (
     "--view",
     default=None,
     metavar="AZIMUTH,ELEVATION",
-    help="Where the camera stands, degrees: azimuth 0 is the front and 90 the right; as far away as the scene's own.",
+    help="Camera direction in degrees: azimuth 0 is the front and 90 the right; its distance is that of the scene.",
 )
 @click.option("--fov", type=float, default=None, metavar="DEG", help="Angle of view across; the object keeps its size.")
 @click.option("--zoom", type=float, default=None, metavar="FACTOR", help="Magnification.")

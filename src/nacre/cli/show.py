@@ -393,8 +393,8 @@ def export(
 @click.argument("file", metavar="FILE")
 @click.option("-o", "output", default=None, metavar="RECIPE.toml", help="Default: FILE with the suffix .toml.")
 @click.option("--material", default=None, metavar="NAME", help="Material of a glTF or MaterialX file with several.")
-@click.option("--quantity", default=None, help="bsdf or reflectance_factor, where the file does not state it.")
-@click.option("--unit", default=None, help="Unit of angles (deg, rad) or wavelengths (nm, um), likewise.")
+@click.option("--quantity", default=None, help="bsdf or reflectance_factor, if the file lacks it.")
+@click.option("--unit", default=None, help="Unit of angles (deg, rad) or wavelengths (nm, um), if missing.")
 @click.option("--ignore", multiple=True, metavar="HEADING", help="A column to ignore; repeatable.")
 @click.option(
     "--law", default=None, metavar="half-angle",

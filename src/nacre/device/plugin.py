@@ -58,7 +58,7 @@ class LobePlugin(abc.ABC, Generic[LobeT]):
         components: one Mitsuba flag word for each part, such as reflection and transmission.
         pdf_is_exact: whether the density is that of `sample`; an approximate one may weight strategies, but not divide
             values.
-        holds_lobes: whether the lobe contains others; `__init__` then also takes `make_plugin`.
+        holds_lobes: whether the lobe contains others; `__init__` then has the further argument `make_plugin`.
     """
 
     kind: ClassVar[str]

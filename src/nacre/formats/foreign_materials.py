@@ -158,7 +158,7 @@ def rounded(metal: float, clear: float, weight: float) -> list[str]:
 
 
 def chosen(names: Sequence[str], wanted: str | None, path: Path) -> tuple[int, list[str]]:
-    """Return the place of the wanted material, or of the first, and a remark on the others.
+    """Return the index of the requested material, or the first, and a remark on the others.
 
     Raises:
         NacreError: no material has the name.

@@ -503,7 +503,7 @@ def new_folder(path: Path) -> Iterator[Path]:
             path.rename(old / "old")
         try:
             made.rename(path)
-        except OSError:  # another program holds a file of the folder open (Windows)
+        except OSError:  # another program has a file in the folder open (Windows)
             if old is not None:
                 moved, old = old, None  # never removed while it holds the former folder
                 (moved / "old").rename(path)

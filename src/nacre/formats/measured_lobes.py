@@ -222,7 +222,7 @@ class _Grid:
         place = tuple(np.searchsorted(a, all_rows[:, i]) for i, a in enumerate(axes))
         shape = (*(len(a) for a in axes), values.shape[1])
         if len(np.unique(np.ravel_multi_index(place, shape[:3]))) < MIN_FILLED * np.prod(shape[:3]):
-            return None  # before a grid of mostly empty nodes takes gigabytes
+            return None  # a grid with mostly empty nodes would take gigabytes
         known = np.isfinite(table)
         total, count = np.zeros(shape), np.zeros(shape)
         np.add.at(total, place, np.where(known, table, 0.0))
@@ -235,7 +235,7 @@ class _Grid:
         return made._folded() if is_signed and is_folded else made
 
     def _folded(self) -> _Grid:
-        """Return one side only if both sides are equal."""
+        """Return a single side if both sides are equal."""
         positive = self.azimuth >= 0
         angles = self.azimuth[positive]
         inner = (angles > 0) & (angles < 180)

@@ -16,7 +16,7 @@ from nacre.light.tristimulus import spans_colour, spectrum_to_xyz, white_xyz
 # conversion reversible; the standard's own inverse is rounded.
 XYZ_TO_RGB: Array = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 RGB_TO_XYZ: Array = np.asarray(np.linalg.inv(XYZ_TO_RGB), dtype=np.float64)
-# The XYZ that the sRGB matrix takes to exactly (1, 1, 1); D65 to within the matrix' four digits.
+# The XYZ that the sRGB matrix maps to exactly (1, 1, 1); D65 to within the matrix' four digits.
 SRGB_WHITE_XYZ: Array = RGB_TO_XYZ.sum(axis=1)
 
 LAB_KAPPA = 24389 / 27  # CIE 15:2018, the exact fractions
@@ -25,7 +25,7 @@ LAB_KNEE = 6 / 29
 
 
 def xyz_to_xyy(xyz: ArrayLike) -> Array:
-    """Return chromaticities and luminance (x, y, Y); black takes (1/3, 1/3, 0), not 0/0.
+    """Return chromaticities and luminance (x, y, Y); black gives (1/3, 1/3, 0), not 0/0.
 
     Example:
         >>> xyz_to_xyy([0.9505, 1.0, 1.0888]).round(4).tolist()

@@ -463,7 +463,7 @@ def load(path: MaterialLike) -> Material:
     `material` (its paths are relative to the working folder); a material is returned unchanged.
 
     Raises:
-        RecipeError: naming file, key, value and what is allowed.
+        RecipeError: naming file, key, value and the allowed values.
         NacreError: the file cannot be read.
 
     Example:
@@ -532,7 +532,7 @@ def material(data: Mapping[str, Any], folder: str | Path = ".") -> Material:
     """Build a material from a dictionary with a recipe's keys; paths in it are relative to `folder`.
 
     Raises:
-        RecipeError: naming key, value and what is allowed.
+        RecipeError: naming key, value and the allowed values.
 
     Example:
         >>> nacre.material({"family": "film", "substrate": "Si"}).family
@@ -591,7 +591,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
     """Validate a recipe's dictionary and build the material.
 
     Raises:
-        RecipeError: naming file, key, value and what is allowed.
+        RecipeError: naming file, key, value and the allowed values.
     """
     data = plain_data(data, context.source)
     spec, context = read_recipe(data, context)
@@ -607,7 +607,7 @@ def read_recipe(data: Mapping[str, Any], context: RecipeContext) -> tuple[Recipe
     """Return the validated recipe and its context; None rather than the recipe if its numbers vary by nodes.
 
     Raises:
-        RecipeError: naming file, key, value and what is allowed.
+        RecipeError: naming file, key, value and the allowed values.
     """
     spec_class = family_spec(data.get("family"), context.source)
     names = named_numbers(data, context.source)

@@ -34,7 +34,7 @@ class _Place:
         field: field of that table.
         below: keys from the field's raw value to the number, such as a list's index.
         raw: keys of the field's raw value in the recipe's dictionary.
-        factor: from the path's unit to the field's unit; 1 if it is no length.
+        factor: from the path's unit to the field's unit; 1 if it is not a length.
         check: validates a field value.
     """
 
@@ -166,7 +166,7 @@ def _locate(top: RecipeModel, keys: Keys, context: RecipeContext) -> _Place | No
             if field is None or fields[field].alias:
                 break
             if found is not None and found.factor != 1.0:
-                return None  # the table below was scaled with the length that it stands for
+                return None  # the table below was scaled with the length that it replaces
             factor = length_factor(key, field) if key != field else 1.0
             check = _field_check(type(value), field, context)
             if check is None:

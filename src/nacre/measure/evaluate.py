@@ -322,7 +322,7 @@ def bsdf_spectrum(
     for base in bases if diffuse else ():
         spread = np.zeros((2, *reflected.shape)) if spread is None else spread
         spread[0] += base.smooth_albedo(np.cos(theta), uv)
-    # a random walk is no delta lobe, but has mirror reflection at smooth interfaces
+    # a random walk is not a delta lobe, but has mirror reflection at smooth interfaces
     has_delta = len(rest) < len(bsdf.lobes) or bool(np.any(reflected > 0))
     return Spectrum(
         bsdf.wavelengths_nm,

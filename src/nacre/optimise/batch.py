@@ -327,7 +327,7 @@ class _BatchFolder:
         facts |= {"yield": one["yield_details"]} if one.get("yield_details") else {}
         path = self.folder / self.names[number] / RECIPE
         if one.get("recipe_digest", "") not in ("", _digest(path, facts)):
-            raise ValueError(f"{path}: is not the recipe of the summary")
+            raise ValueError(f"{path}: differs from the recipe in the summary")
         return Solution(path, task.read(path.parent, one["changes"]), one["changes"], results, facts)
 
     def write(self, status: str) -> None:

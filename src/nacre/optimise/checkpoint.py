@@ -92,7 +92,7 @@ def unreadable(folder: Path) -> NacreError:
 
 
 class DesignFolder(abc.ABC, Generic[Answer]):
-    """A search at work, and the folder that always holds its best solution.
+    """A running search, and the folder that always holds its best solution.
 
     Attributes:
         folder: of the files.

@@ -70,7 +70,7 @@ COLOUR_NOISE = 0.2  # noise of measured L*, a* and b*: repeatability of a good s
 RELATIVE_STEP = 0.02  # relative step of a volume fraction for derivatives
 LEAST_TEXTURE, TEXTURE_STEP = 1e-9, 0.05  # relative volume fraction step for texture derivatives
 SUMMARY = "formulation.json"
-STARTED = "started"  # status while answers are written, so that a killed run does not block the next
+STARTED = "started"  # status while solutions are written, so that a killed run does not block the next
 
 
 TextureModel = Callable[[Sequence[float] | Array], Array]
@@ -137,7 +137,7 @@ class Formulation:
     """Result of `formulate`.
 
     Attributes:
-        formulas: answers of different ingredients, nearest first.
+        formulas: solutions with different ingredients, nearest first.
         labels: `[geometry]`.
         combinations: number of combinations that were searched.
         status: "done", "time" or "interrupted".
@@ -252,7 +252,7 @@ def read_formulation(target: str | Path | Mapping[str, Any]) -> Task:
     """Read and check a target file and its library.
 
     Raises:
-        RecipeError: naming file, key, value and what is allowed.
+        RecipeError: naming file, key, value and the allowed values.
     """
     data, context = read_data(target)
     spec: FormulationSpec = validate(FormulationSpec, data, context)
@@ -601,7 +601,7 @@ class PaintSearch(Search):
             key = (stage, tuple(each.entry.name for each in paint.ingredients), tuple(start.tolist()))
             if key not in self._refined:
                 self._refined[key] = refine(paint, start)
-            self.budget.used += 1  # those of an earlier run too: the same limit then gives the same answers
+            self.budget.used += 1  # those of an earlier run too: the same limit then gives the same solutions
             rms, point = self._refined[key]
             found.append((rms, paint, point))
             self.finalists = sorted(found, key=lambda each: each[0])
@@ -629,7 +629,7 @@ class FormulationFolder(DesignFolder[Formulation]):
         return self.task.budget()
 
     def claim(self) -> None:
-        """Mark the folder as a formulation's whose answers are not complete."""
+        """Mark the folder's formulation as incomplete."""
         _mark(self.folder)
 
     def write_best(self, worst: float, changes: Changes) -> dict[str, Any]:
@@ -669,7 +669,7 @@ def _combinations(task: Task) -> list[tuple[tuple[PigmentSpec, ...], DyeSpec | N
 
 
 def _formula(paint: _Paint, fractions: Sequence[float]) -> Formula:
-    """Evaluate an answer by a random walk, with its cost and its hiding power."""
+    """Evaluate a solution by a random walk, with its cost and its hiding power."""
     task = paint.task
     made = paint.made(fractions)
     merit = task.merit
@@ -851,7 +851,7 @@ def formulation_document(found: Formulation) -> dict[str, Any]:
 
 
 def check_answers(folder: Path) -> None:
-    """Check, before a search, that its answers can be written to a folder.
+    """Check, before a search, that its solutions can be written to a folder.
 
     Raises:
         NacreError: the folder cannot be written, or holds a recipe that is no formulation's.
@@ -870,7 +870,7 @@ def check_answers(folder: Path) -> None:
 
 
 def write_formulation(found: Formulation, folder: Path) -> None:
-    """Write `formulation.json`, `recipe.toml` of the first answer, and `2/recipe.toml` and so on of the others.
+    """Write `formulation.json`, `recipe.toml` for the first solution, and `2/recipe.toml` and so on for the others.
 
     Further answers of an earlier formulation in the folder are removed. Until all are written, `status` is "started".
 

@@ -163,7 +163,7 @@ def find_gamut(
         geometry: "specular 0", "45as15" and so on, as in a target; None: the family's default geometry (mirror
             direction for a film, 45 degrees for a photonic glass, near the mirror direction for a pearl or a relief),
             or another one that applies.
-        points: material count. The same count and seed give the same answer.
+        points: material count. The same count and seed give the same result.
         seconds: time limit, after which the colours found so far are returned; default: unlimited.
         illuminant, observer: of the colours.
         tolerance: dE00 within which a colour counts as reached.

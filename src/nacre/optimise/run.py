@@ -142,7 +142,7 @@ def read_target(target: str | Path | Mapping[str, Any] | DesignTask | ReliefTask
     """Read and check a target: a file, the name of an example, or a dictionary; a checked one is returned.
 
     Raises:
-        RecipeError: naming file, key, value and what is allowed.
+        RecipeError: naming file, key, value and the allowed values.
         NacreError: the recipe cannot be computed.
     """
     if isinstance(target, DesignTask | ReliefTask):

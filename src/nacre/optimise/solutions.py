@@ -44,7 +44,7 @@ def take_apart(data: dict[str, Any], taken: list[str]) -> dict[str, str]:
     return found
 
 
-# Answers as folders that every command takes: a recipe, and beside it the files that it reaches.
+# Solutions as folders that every command accepts: a recipe, and beside it the files that it names.
 
 RECIPE = "recipe.toml"
 SUMMARY = "design.json"

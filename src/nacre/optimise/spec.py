@@ -392,7 +392,7 @@ class FormulationSearch(RecipeModel):
         default=2, description="largest number of pigments of a paint, beside at most one dye"
     )
     solutions: Annotated[int, Field(ge=1, le=MOST_ANSWERS)] = Field(
-        default=3, description="number of answers, of different ingredients"
+        default=3, description="number of solutions with different ingredients"
     )
     seconds: Positive = Field(default=120.0, description="time limit")
     evaluations: Positive | None = Field(

@@ -48,7 +48,7 @@ class Target:
     """One target.
 
     Attributes:
-        geometry: where it is seen.
+        geometry: of illumination and observation.
         asked: the file's entry as JSON data: {"colour": "#c2185b"}.
         lab: `[3]`, target under every lamp, or None.
         xyz: `[3]`, target under the first lamp, or None.
@@ -151,7 +151,7 @@ def read_targets(
         instrument: of texture targets, a file or its keys.
 
     Raises:
-        RecipeError: naming the target and what is allowed; or two incompatible colours for one geometry.
+        RecipeError: naming the target and the allowed values; or two incompatible colours for one geometry.
     """
     check_light(light, context)
     tool = read_instrument(context.path(instrument) if isinstance(instrument, str) else instrument)

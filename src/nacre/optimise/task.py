@@ -241,7 +241,7 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
         target: a TOML file, or a dictionary with its keys and paths relative to the current folder.
 
     Raises:
-        RecipeError: naming file, key, value and what is allowed.
+        RecipeError: naming file, key, value and the allowed values.
         NacreError: the recipe cannot be computed.
     """
     return check_task(*read_data(target))

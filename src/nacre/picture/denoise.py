@@ -347,7 +347,7 @@ def aov_sampling(scene: Any, is_ours: bool) -> AovSampling:
 
     Args:
         scene: Mitsuba scene.
-        is_ours: whether the scene is ours; BSDFs in user scenes, such as `mask` and `blendbsdf`, may ignore type masks.
+        is_ours: whether nacre built the scene; BSDFs in user scenes, such as `mask`, may ignore type masks.
     """
     flags = mi.BSDFFlags
     sharp = int(flags.Delta | flags.Null)

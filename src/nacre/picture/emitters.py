@@ -580,7 +580,7 @@ def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, streng
 
 
 def _surrounding(name: str, white: str, turn_deg: float) -> Light:
-    """Build one of our environments, with the variants that have a wider lamp."""
+    """Build a built-in environment, with its variants for a wider lamp."""
     wide: environments.Environment | None = None
     within: environments.Environment | None = None
     note = ""

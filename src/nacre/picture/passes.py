@@ -658,7 +658,7 @@ class TiledCamera:
         Args:
             scene, integrator: Mitsuba objects.
             samples: samples of the pass.
-            is_over: asked between tiles.
+            is_over: called between tiles.
         """
         whole: Any = None
         for index, tile in enumerate(self.tiles):

@@ -280,7 +280,7 @@ def card_rim() -> Mesh:
 
 
 def seal() -> Mesh:
-    """Domed seal on the plastic card, which takes the material."""
+    """Domed seal on the plastic card, which gets the material."""
     dome = parametric(lambda u, v: on_circle(_SEAL_RADIUS * v, u, _BULGE * (1 - v * v) + 0.004), 192, 64).facing_up()
     uv = 0.5 + 0.5 * dome.vertices[:, :2] / _SEAL_RADIUS
     return _placed(dome.with_uv(uv).shifted(*_SEAL, 0.0))

@@ -19,7 +19,7 @@ from nacre.readers.units import UNITS, Floats, in_range, likely_unit, normal, pa
 TEXT_QUANTITIES = ("name", "hex", "polarisation")
 SAME_WAVELENGTH = 2e-3  # relative; columns of nm and eV are rounded
 MOST_RADIANS = np.pi / 2 * 1.001
-MAX_FACTOR = 2.0  # a larger number without a unit is no factor
+MAX_FACTOR = 2.0  # a larger number without a unit is not a factor
 
 
 def knows(heading: str, unit: str) -> bool:

@@ -314,7 +314,7 @@ def read_sopra(path: Path, options: ReadOptions) -> list[Measurement]:
     if points.isdigit() and int(points) != len(rows):
         raise NacreError(f"{path}: POINTS = {points}, but the file has {len(rows)} rows")
     if not rows or any(len(row) != 3 for row in rows):
-        raise NacreError(f"{path}: the rows of DATA1 have no wavelength, n and k")
+        raise NacreError(f"{path}: the rows of DATA1 should hold wavelength, n and k")
     table = np.array(rows)
     if table[:, 0].min() < 1.0:
         raise NacreError(f"{path}: an abscissa of {table[:, 0].min():g} is no wavelength in nm")

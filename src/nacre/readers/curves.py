@@ -77,7 +77,7 @@ def curve(path: Path, axes: Sequence[Axis], options: ReadOptions | None = None) 
 
 
 def _check_cells(table: TextTable) -> None:
-    """Refuse a row of two columns that holds a word or has one cell only."""
+    """Refuse a row that holds a word or a single cell."""
     if table.width != 2:
         return
     for row, line in zip(table.rows, table.lines):
@@ -215,11 +215,11 @@ def _log(context: RecipeContext, name: str, said: Sequence[str]) -> None:
         logger.warning("%s: %s: %s", context.source, name, "; ".join(said))
 
 
-# A file of measured data in a recipe or target: its name, or a table that also says what the file does not state.
+# A file of measured data in a recipe or target: its name, or a table with properties that the file lacks.
 
 
 class FileSpec(RecipeModel):
-    """A file of measured data, by its name or with the statements that it lacks."""
+    """A file of measured data: its name, or a table with properties that the file lacks."""
 
     noun: ClassVar[str] = "measured file"
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"type": "string"},)
@@ -227,14 +227,14 @@ class FileSpec(RecipeModel):
     file: str = Field(description="the file, beside the recipe", examples=["data.csv"])
     columns: tuple[str, ...] = Field(
         default=(),
-        description='what its columns are, one name each, where no heading says it; "-" leaves one out',
+        description='names of its columns if headings are missing; "-" leaves one out',
         examples=[["wavelength_nm", "reflectance"]],
     )
     ignore: tuple[str, ...] = Field(
         default=(), description="headings of columns that are left out", examples=[["batch"]]
     )
     unit: str | None = Field(
-        default=None, description="unit of its wavelengths or energies, if it names none", examples=["um"]
+        default=None, description="unit of its wavelengths or energies, if the file lacks it", examples=["um"]
     )
     spectrum: str | None = Field(default=None, description="name or number of one of its spectra", examples=["red"])
 

@@ -729,7 +729,7 @@ def _mueller(
         if table.shape[0] != first.shape[0] or np.any(table[:, :2] != first[:, :2]):
             raise NacreError(f"{path}: {word} is given at other wavelengths or angles than the other elements")
         columns[f"m{word[2:]}"] = table[:, 2]
-        if table.shape[1] == 6:  # value twice, then its standard deviation twice
+        if table.shape[1] == 6:  # two values, then their standard deviations
             columns[f"m{word[2:]}_error"] = table[:, 4]
         elif table.shape[1] > 3:
             columns[f"m{word[2:]}_error"] = table[:, 3]

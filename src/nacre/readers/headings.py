@@ -215,7 +215,7 @@ def _qualifier(part: str, base: Meaning) -> Meaning | None:
         return measured
     if word in ILLUMINANT_WORDS:
         moved = replace(base, illuminant=ILLUMINANT_WORDS[word])
-        if moved.angle_deg in (2.0, 10.0):  # "10°/D65": the observer stands first
+        if moved.angle_deg in (2.0, 10.0):  # "10°/D65": the observer comes first
             moved = replace(moved, angle_deg=None, observer=f"{moved.angle_deg:g}")
         return moved
     if word in ("2", "10", "1931", "1964", "cie1931", "cie1964", "cie31", "cie64") and base.illuminant:

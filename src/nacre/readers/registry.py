@@ -140,7 +140,7 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
             found = [(0.0, format_named("table"))]  # its error names what the caller needs
         if not found:
             raise NacreError(unknown_file(head_of(path), [entry.title for entry in FORMATS]))
-        if options.expects is not None and found[0][0] < CERTAIN:  # a likely format of another kind is no answer
+        if options.expects is not None and found[0][0] < CERTAIN:  # an uncertain match with another kind is ignored
             of_kind = [pair for pair in found if pair[1].kind in (options.expects, "table")]
             found = of_kind if of_kind and of_kind[0][0] >= 0.5 * found[0][0] else found
         best = [entry for confidence, entry in found if confidence >= found[0][0] - 1e-9]

@@ -363,7 +363,7 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
 
 
 def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
-    """Return a table's rows; quantities at angles in the headings stand one angle after another."""
+    """Return a table's rows; if headings state angles, the angles follow each other."""
     nm = columns.spectral_nm(options)
     if nm is None:
         raise NacreError(
@@ -469,7 +469,7 @@ def _table_of(line: str) -> str:
 
 
 def _first(lines: list[str]) -> int:
-    """Return the number of the first line that is no remark; that of a map is a remark."""
+    """Return the number of the first line that is not a remark; that of a map is a remark."""
     for number, line in enumerate(lines):
         if _table_of(line) == MAP_NAME or not line.startswith("#"):
             return number
@@ -527,7 +527,7 @@ def _numbers(cells: list[str]) -> NDArray[np.float64] | None:
 
 # Text files of other programs, which are recognised in order to be refused by name.
 
-LENGTH = 8000  # characters that hold a head
+LENGTH = 8000  # characters in which a head is searched
 _BSDF = "export ASTM E1392 or the tabular BSDF of Zemax"
 _HEIGHTS = "export ISO 25178 .sdf, or Gwyddion's ASCII matrix"
 # pattern, what the file is, cure

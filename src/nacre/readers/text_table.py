@@ -534,7 +534,7 @@ def _splits(text: str, delimiter: str | None, width: int) -> Iterator[list[str]]
     cases.append([cell for cell in re.split(r"[\t ,;]+", text.strip()) if cell])
     for cells in cases:
         if text.count('"') % 2 == 0 and any(cell.count('"') % 2 for cell in cells):
-            continue  # the delimiter stands inside quotes
+            continue  # the delimiter is inside quotes
         for joined in (cells, _with_units_joined(cells)):
             plain_cells = [cell.strip().strip('"').strip() for cell in joined]
             if plain_cells not in seen:
@@ -701,7 +701,7 @@ def _find_headings(
     """
     units: list[str] = []
     used: set[int] = set()
-    is_apart = False  # whether a number stands between the line and the rows
+    is_apart = False  # whether a number lies between the line and the rows
     for line in reversed(above[-6:]):
         text = line.text.strip()
         if line.is_remark:
@@ -725,7 +725,7 @@ def _find_headings(
         if cells is not None:
             return cells, units, line.number, used | {line.number}
         if not line.is_remark and not _is_mark(text):
-            break  # a title; headings do not stand above titles
+            break  # a title; headings are never above titles
     return [], units, 0, used
 
 

@@ -290,7 +290,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         excess = max(float(np.linalg.norm(np.eye(size) + 2.0 * t, 2)) for t in values) - 1.0
         if excess > GAIN_TOLERANCE:
             raise NacreError(
-                f"{path}: is of a particle that radiates more than it gets (by {100 * excess:.2g} %): not passive"
+                f"{path}: its particle radiates more than it receives (by {100 * excess:.2g} %): not passive"
             )
     order = np.argsort(wavelengths)
     k = 2.0 * np.pi * index[order] / wavelengths[order]

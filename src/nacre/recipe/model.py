@@ -37,7 +37,7 @@ _MEASURE = re.compile(r"([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([
 
 
 def written_as_number(key: str, text: str) -> str | None:
-    """Return the correct recipe line, `key = number`, for a number given as text; None if the text is no measure.
+    """Return the correct recipe line, `key = number`, for a number given as text; None if the text is not a measure.
 
     A length retains its unit if recipes accept it; a number without unit has the key's unit.
 

@@ -113,13 +113,13 @@ class StudySpec(RecipeModel):
 
     geometry: list[GeometrySpec] = Field(
         default=[],
-        description="geometries by name, which reports, targets, fits, tolerances and sweeps know",
+        description="geometries by name, for reports, targets, fits, tolerances and sweeps",
         examples=[[{"name": "door", "at": "45as60az125.3"}]],
     )
 
     numbers: dict[str, float] = Field(
         default={},
-        description="named numbers for formulas; these also know `t`, the time of an animation: 0 at its start and in "
+        description="named numbers for formulas; these also use `t`, the time of an animation: 0 at its start and in "
         "stills, 1 at its end",
         examples=[{"drain": 0.4}],
     )

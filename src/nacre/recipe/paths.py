@@ -35,7 +35,7 @@ def varying_numbers(data: Any, patterns: tuple[str, ...], path: str = "") -> dic
 
 
 def expand_path(data: Any, path: str, source: str) -> tuple[str, ...]:
-    """Return the paths of all list entries that a path with `[*]` means; a path without it is returned alone.
+    """Expand a path with `[*]` to the paths of all list entries; a path without it is returned unchanged.
 
     Raises:
         RecipeError: `[*]` follows an empty list, or a value that is no list.

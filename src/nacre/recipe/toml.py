@@ -21,7 +21,7 @@ from nacre.recipe.paths import set_by_path
 NESTED = "brackets or dotted keys are nested without end"
 MAX_CACHED = 20_000  # characters
 MAX_TABLE_DEPTH = 48  # nested recipes and formulas have smaller limits
-MAX_VALUES = 2_000_000  # a file of 4 MiB holds no more
+MAX_VALUES = 2_000_000  # upper limit for a file of 4 MiB
 LARGEST_WHOLE = 2**63  # TOML's integers have 64 bits
 MAX_DEPTH = 8  # depth of nested recipes
 _PLACE = re.compile(r"\(at line (\d+), column (\d+)\)")

@@ -688,7 +688,9 @@ def angle_tables(recipe: Mapping[str, str], lamp: str, is_fine: bool) -> dict[st
 
 def _colours(material: Material, geometries: list[Geometry], lamp: str) -> Array:
     grid, model = search_wavelengths(material, [lamp]), material.model
-    is_quick = model.traits.is_quick and not mixes_polarisations(material)  # whose tables over angle take seconds
+    is_quick = model.traits.is_quick and not mixes_polarisations(
+        material
+    )  # mixed polarisations need angle tables, which take seconds
     found = None if is_quick else surrogate_factors(material, geometries, grid)
     is_known = isinstance(model, Surrogate) and model.surrogate_error is not None
     if found is not None and (is_known or not np.any(found[1])):  # exact, or with a small error

@@ -330,7 +330,7 @@ def tolerance_options(material: Material, percent: float) -> tuple[str, ...]:
 
 
 def _sampling(material: Material, lamp: str, incidence: Incidence) -> tuple[Array, Array | None]:
-    """Return angles and wavelengths: few for slow families; the computer's speed changes the angles alone."""
+    """Return angles and wavelengths: few for slow families; the computer's speed affects only the angles."""
     if not material.model.traits.is_quick:
         return COARSE_DEG, COARSE_NM
     for _ in range(2):  # the first trial may compile
@@ -437,7 +437,7 @@ def _parameter(entry: Any) -> tuple[str, list[float]]:
 
 
 def inlined(material: Material) -> Material:
-    """Return a material whose nested recipes stand in it as tables, so that their numbers have paths."""
+    """Return a material with its nested recipes inlined as tables, so that their numbers have paths."""
     for key, value in material.data.items():
         if isinstance(value, Mapping) and "recipe" in value:
             with contextlib.suppress(RecipeError):  # some parts can only be given by name

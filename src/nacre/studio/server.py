@@ -596,7 +596,7 @@ async def file(request: Request) -> Response:
 
 
 async def mesh(request: Request) -> Response:
-    """Store an uploaded mesh and answer its triangles."""
+    """Store an uploaded mesh and return its triangles."""
     name, up = (request.query_params.get(key, "") for key in ("name", "up"))
     name = name.rpartition("/")[2][-80:]
     suffix = read_upload(name, up)
@@ -615,12 +615,12 @@ async def mesh(request: Request) -> Response:
 
 
 async def measurement(request: Request) -> Response:
-    """Answer what a dropped instrument file contains."""
+    """Return the content of a dropped instrument file."""
     return Response((await _dropped(request, "measurement_job"))[1], media_type="application/json")
 
 
 async def scan(request: Request) -> Response:
-    """Store a dropped scan in the opened folder; answer a recipe of its relief, which is not saved."""
+    """Store a dropped scan in the opened folder; return an unsaved recipe of its relief."""
     name, _, content = await _dropped(request, "scan_job")
     await asyncio.to_thread(_studio(request).opened.store, name, content)
     return JSONResponse({"name": f"{Path(name).stem}.toml", "text": relief_recipe(name), "version": ""})
@@ -828,7 +828,7 @@ class Session:
         }))  # fmt: skip
 
     def _send(self, message: bytes | str) -> None:
-        """Send a message from the worker's thread; a closed socket ends the answer."""
+        """Send a message from the worker's thread; a closed socket ends the job."""
         send = self._socket.send_bytes(message) if isinstance(message, bytes) else self._socket.send_text(message)
         with contextlib.suppress(RuntimeError, WebSocketDisconnect):
             asyncio.run_coroutine_threadsafe(send, self._loop).result()

@@ -169,7 +169,7 @@ def failure_text(error: Exception, name: str = "") -> str:
 def interrupt(system: str = os.name) -> None:
     """Raise KeyboardInterrupt in the main thread of this process.
 
-    A signal also ends a wait of the main thread; on Windows it would end the process, so the interpreter is asked.
+    A signal also ends a wait of the main thread; on Windows it would end the process instead.
     """
     if system == "posix":
         os.kill(os.getpid(), signal.SIGINT)
@@ -184,7 +184,7 @@ def _listen() -> None:
     os._exit(3)  # stdin closed: the server ended or cancelled the job
 
 
-# A worker thread that answers only the newest request.
+# A worker thread that serves only the newest request.
 
 REST_S = 0.25  # pause after a draft, in which a newer request may arrive
 Request = TypeVar("Request")
@@ -224,7 +224,7 @@ class LatestOnlyWorker(Generic[Request]):
         self._changed = threading.Condition()
         self.sending = threading.Lock()
         self._number = 0
-        self._waiting: list[Request] = []  # the newest request, until its answer begins
+        self._waiting: list[Request] = []  # the newest request, until its computation begins
         self._is_cancelled = False
         self._thread: threading.Thread | None = None
 

@@ -125,7 +125,7 @@ class OrdersPlugin(plugin.LobePlugin[OrdersLobe]):
         return dr.lerp(rows[0], rows[1], f)
 
     def _above(self, w: Any) -> Any:
-        """Return a direction above the surface; of one below, that which the zero order takes."""
+        """Return a direction above the surface; one below is replaced by that of the zero order."""
         if not self.transmits:
             return w
         x, y = -self.eta * w.x, -self.eta * w.y

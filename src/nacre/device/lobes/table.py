@@ -250,7 +250,7 @@ def _to_specular(wi: Any, wo: Any) -> tuple[Any, Any, Any]:
 
 
 def _between(nodes: Any, coordinate: Any, most: Any, active: Any) -> tuple[Any, Any]:
-    """Return the lower node and the upper node's weight; values beyond the ends are held."""
+    """Return the lower node and the upper node's weight, clamped beyond the ends."""
     above = dr.binary_search(0, dr.width(nodes), lambda i: plugin.read(nodes, mi.UInt32(i), active) <= coordinate)
     low = mi.UInt32(dr.minimum(mi.Float(dr.maximum(mi.UInt32(above), 1) - 1), most))
     first, last = plugin.read(nodes, low, active), plugin.read(nodes, low + 1, active)

@@ -97,7 +97,7 @@ class LayerSpec(RecipeModel):
         if isinstance(self.thickness_nm, int | float) and 0 < self.thickness_nm < least / SLICES_A_TURN:
             raise ValueError(
                 f".thickness_nm = {self.thickness_nm:g} is thinner than a slice of the helix; it should be at least "
-                f"pitch_nm / {SLICES_A_TURN} = {least / SLICES_A_TURN:.3g}, or without pitch_nm"
+                f"pitch_nm / {SLICES_A_TURN} = {least / SLICES_A_TURN:.3g}; else remove pitch_nm"
             )
         if self.pitch_deviation_nm * SPREAD_REACH >= least:
             raise ValueError(

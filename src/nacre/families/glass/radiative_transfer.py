@@ -24,8 +24,8 @@ from nacre.families.glass.medium import Medium, gauss_rule
 
 OPEN_NODES, TRAPPED_NODES = 20, 14
 AZIMUTHS = 8  # Fourier modes; single scattering is added in closed form
-MATCHED = 1e-6  # index minus 1, below which there is no interface
-MIN_SCATTERING = 1e-12  # given to a clear layer against division by zero
+MATCHED = 1e-6  # relative index minus 1 below which an interface is ignored
+MIN_SCATTERING = 1e-12  # scattering of a clear layer, against division by zero
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,8 @@ from nacre.readers.curves import Q_PER_UM, STRUCTURE, FileSpec, recipe_curve
 from nacre.recipe.model import NotNegative, Positive, RecipeContext, RecipeModel, show_value
 
 MAX_PACKING = 0.64  # random packing of equal spheres
-MIN_LAYERS = 3  # diameters in the thickness of a continuum
-MAX_RADIUS_NM = 500.0  # outer radius, above which there is no effective medium in visible light
+MIN_LAYERS = 3  # minimum thickness of a layer treated as a continuum, in diameters
+MAX_RADIUS_NM = 500.0  # outer radius above which visible light lacks an effective medium
 MAX_RELATIVE_DEVIATION = 0.2  # standard deviation of the radius, relative
 MAX_BALL_NM = 1e6
 MAX_THICKNESS_NM = 1e8
@@ -181,7 +181,7 @@ class StructureSpec(RecipeModel):
     forms: ClassVar[tuple[str, ...]] = ('"percus-yevick"', '{sq = "s.csv"}')
 
     name: Literal["percus-yevick"] | None = Field(
-        default=None, description="model of the order; alone it needs no table", examples=["percus-yevick"]
+        default=None, description="model of the order; a table is not needed for it alone", examples=["percus-yevick"]
     )
     sq: FileSpec | None = Field(
         default=None,

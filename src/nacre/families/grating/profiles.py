@@ -16,7 +16,7 @@ from nacre.recipe.model import RecipeContext
 MAX_POINTS = 20_000
 MAX_FLAT_SLOPE = 20.0  # steeper flanks than this are walls
 STEEP_SAMPLES = 4001
-MAX_GAP = 1.5  # between the end of a table and the period, over its largest step
+MAX_GAP = 1.5  # largest gap from a table's end to the period, over its largest step
 
 
 def profile_of(shape: str, depth_nm: float, apex: float, top: float, bottom: float) -> Profile:
@@ -157,7 +157,7 @@ def _image(bits: str, size: tuple[int, int], width_nm: float, height_nm: float) 
 
 
 def _star(distance: Callable[[Array, Array], Array], x: float, y: float, reach: float) -> Array:
-    """Return the outline of a shape that is seen whole from its centre, by bisection along rays."""
+    """Return the outline of a star-shaped shape, by bisection along rays."""
     angle = (np.arange(CORNERS) + 0.5) * 2.0 * np.pi / CORNERS
     low, high = np.zeros(CORNERS), np.full(CORNERS, reach)
     for _ in range(BISECTIONS):

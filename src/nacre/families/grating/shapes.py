@@ -88,7 +88,7 @@ class ShapeSpec(RecipeModel):
         "upward; sizes are those at half the height", examples=[82],
     )  # fmt: skip
     rounding_nm: Annotated[float, Field(ge=0.0, le=1e5)] = Field(
-        default=0.0, description="radius of the upper edge, in section", examples=[20]
+        default=0.0, description="radius that rounds the upper edge", examples=[20]
     )
     corner_radius_nm: Annotated[float, Field(ge=0.0, le=1e5)] = Field(
         default=0.0, description="radius of the corners of a rectangle, seen from above", examples=[15]

@@ -47,7 +47,7 @@ from nacre.readers.hdf5 import MAX_BYTES
 from nacre.recipe.model import Positive, RecipeContext, RecipeModel, UnitNumber, show_value
 
 LEAST_COVERAGE = 1e-4
-LARGEST_REACH_UM = 4.0  # beyond ten wavelengths S(q) has more rings than light resolves, and takes minutes
+LARGEST_REACH_UM = 4.0  # beyond ten wavelengths S(q) has more rings than light resolves, and needs minutes
 MAX_THICKNESS_NM = 1e4
 
 
@@ -265,7 +265,7 @@ class MetasurfaceSpec(RecipeModel):
     particle: ParticleSpec = Field(description="the particles")
     monolayer: MonolayerSpec = Field(description="density and order of the particles")
     model: ModelSpec = Field(
-        default=ModelSpec(), description="details of the computation, where its own choice is not wanted"
+        default=ModelSpec(), description="details of the computation; default: chosen automatically"
     )
     extrapolate: Literal["error", "edge"] = Field(
         default="error",

@@ -379,7 +379,7 @@ class MultipoleConvergence:
             if change > tolerance:
                 raise UnsupportedError(
                     f"{sphere.source}: holds multipoles up to l = {available}, and at {surface.wavelength_nm:g} nm "
-                    f"this sphere takes {required} over this stack: the far field changes by {change:.2g}, "
+                    f"this sphere needs {required} over this stack: the far field changes by {change:.2g}, "
                     f"{tolerance:g} is allowed; a file of higher order or a larger gap_nm is needed"
                 )
             _, most, worst = self.missing.get(sphere.source, (available, 0, 0.0))
@@ -494,7 +494,7 @@ SAME_MEDIUM = 1e-3  # relative tolerance for the T-matrix index
 MAX_FILES = 1000  # T-matrix files of one particle
 SAME_LENGTH = 1e-2  # relative tolerance for a length in both recipe and file
 ALIGNED = 'write orientation = "aligned", and turn_deg for the angle by which all are turned about the normal'
-OTHER_WORDS = dict.fromkeys(  # plausible unknown keys, and what to write instead
+OTHER_WORDS = dict.fromkeys(  # plausible unknown keys, and their replacements
     ("orientation_deg", "turn", "rotation", "rotation_deg", "azimuth_deg", "aligned"), ALIGNED
 )
 Extent = Annotated[float, Field(ge=2 * SMALLEST_CORE_NM, le=2 * CORE_LIMIT_NM)]
@@ -507,7 +507,7 @@ class ShellSpec(RecipeModel):
 
     material: IndexSpec = Field(description="what the shell is made of")
     thickness_nm: Annotated[float, Field(gt=0.0, le=CORE_LIMIT_NM)] = Field(
-        description="thickness of the shell, the same all over, from the core outward: twice as much is added to "
+        description="uniform thickness of the shell, from the core outward: twice as much is added to "
         "diameter_nm and height_nm, once to radius_nm",
         examples=[10],
     )

@@ -107,7 +107,7 @@ def _shares(column: NDArray[np.float64]) -> NDArray[np.float64]:
 class LayerSpec(ThicknessKeys):
     """A layer of a flake."""
 
-    material: IndexSpec = Field(description="what the layer is made of")
+    material: IndexSpec = Field(description="material of the layer")
 
 
 class PlateletSpec(RecipeModel):

@@ -142,7 +142,7 @@ class HeightOptions:
             )  # fmt: skip
 
     def _periodic(self, heights: Array) -> tuple[bool, tuple[str, ...]]:
-        """Return whether an array is one period, and what was assumed."""
+        """Return whether an array is one period, and the assumptions made."""
         if self.periodic is not None or heights.ndim != 2 or not np.isfinite(heights).all():
             return self.periodic is not False, ()
         if heights.shape[0] != heights.shape[1]:

@@ -52,7 +52,7 @@ class ScanLines:
 
     Attributes:
         period_nm: reciprocal distance of the lines.
-        held: highest line.
+        held: number of the highest line.
         power: kappa in 1/nm -> mirror share |m|^2, and powers `[2 held + 1, 2 held + 1]` of the scatter.
         windows: window count.
         noise: relative standard deviation of the scatter in one direction, from the number of independent windows.
@@ -127,7 +127,7 @@ class Scan:
             width_nm: largest standard deviation s of the coherence window.
             kappa_max: largest xi / lambda, 1/nm.
             highest_per_nm: highest spatial frequency.
-            nodes: number of kappa that will be asked for, which limits the window count.
+            nodes: number of kappa values that will be requested, which limits the window count.
         """
         step = 2.0 * np.pi * kappa_max * max(self.slopes) * self.pitch_nm
         upsampling = int(np.clip(np.ceil(step / RMS_STEP), 1, MAX_UPSAMPLING))

@@ -261,7 +261,7 @@ class _Part:
         psi_x, psi_y = self._psi[0] + shift[0], self._psi[1] + shift[1]
         is_same = self._psi[0] is self._psi[1] and shift[0] == shift[1]
         reach = min(self._held, int(np.ceil(period * (2.0 + 6.0 * blur + max(map(abs, shift))) / wavelength)))
-        # the lines of a small scan are farther apart than the window's smoothing is wide
+        # the lines of a small scan are farther apart than the smoothing width of the window
         wide = blur if plan.scan is None else max(blur, wavelength / period)
         # the spline adds a variance of step^2/4; the coefficients are smoothed by the rest
         rest = float(np.sqrt(wide**2 - SPLINE_VARIANCE * step**2))

@@ -43,7 +43,7 @@ from nacre.readers.registry import open_file
 from nacre.recipe.model import NotNegative, Positive, RecipeContext, RecipeModel, UnitNumber, show_value, validate
 
 LAWS = ("tauc_lorentz", "cody_lorentz", "gaussian", "brendel_bormann", "b_spline")
-SUMMED = ("drude", "lorentz", *LAWS)  # terms of one permittivity, which may stand together
+SUMMED = ("drude", "lorentz", *LAWS)  # terms of one permittivity, which may be combined
 FORMS = ("name", "n", "cauchy", "sellmeier", "n_d", *SUMMED, "file", "rii", "mix")
 WITH_URBACH = ("n", "cauchy", "sellmeier", "n_d")
 OF_A_MIXTURE = ("volume_fractions", "model", "depolarisation")
@@ -196,14 +196,14 @@ class IndexSpec(RecipeModel):
     )
     columns: tuple[str, ...] = Field(
         default=(),
-        description='beside file: what its columns are, one name each, where no heading says it; "-" leaves one out',
+        description='beside file: names of its columns if headings are missing; "-" leaves one out',
         examples=[["energy_eV", "e1", "e2"]],
     )
     ignore: tuple[str, ...] = Field(
         default=(), description="beside file: headings of columns that are left out", examples=[["batch"]]
     )
     unit: str | None = Field(
-        default=None, description="beside file: unit of its wavelengths or energies, if it names none", examples=["um"]
+        default=None, description="beside file: unit of its wavelengths or energies, if it lacks one", examples=["um"]
     )
     spectrum: str | None = Field(
         default=None, description="beside file: name or number of one of its materials", examples=["SIO2"]
@@ -526,7 +526,7 @@ class CodyLorentzSpec(RecipeModel):
 
     gap_ev: NotNegative = Field(description="gap, in eV", examples=[1.6])
     transition_ev: Positive = Field(
-        description="energy above the gap at which Lorentzian absorption takes over, in eV", examples=[1.0]
+        description="energy above the gap at which Lorentzian absorption begins, in eV", examples=[1.0]
     )
     tail_start_ev: NotNegative = Field(
         default=0.0, description="energy below which absorption falls exponentially, in eV; 0: no tail", examples=[1.8]

@@ -160,7 +160,7 @@ def series(samples: Array) -> Array:
     """Return the Fourier series of a function given at the middles of an even grid about the origin."""
     n = samples.shape
     found = np.fft.fft2(np.fft.ifftshift(samples)) / samples.size
-    # samples stand half a step beyond the nodes of the transform
+    # samples lie half a step beyond the nodes of the transform
     for axis in (0, 1):
         number = np.fft.fftfreq(n[axis], 1.0 / n[axis])
         shift = np.exp(-1j * np.pi * number / n[axis])
@@ -320,7 +320,7 @@ class Answer:
     unknowns: int
 
     def swapped(self) -> Answer:
-        """Return the answer with x and y exchanged: the class of E_y in a structure that the exchange leaves alike."""
+        """Return the solution with x and y exchanged: the class of E_y in a structure that this exchange preserves."""
         sides = [{(n, m): e[::-1, ::-1] for (m, n), e in side.items()} for side in (self.up, self.down)]
         return Answer(sides[0], sides[1], self.unknowns)
 

@@ -21,7 +21,7 @@ from nacre.matter.periodic.types import Array
 
 Blocks = list[list[Array]]
 LARGEST_TANGENT = 1e4  # larger ones, at a resonance between a layer's faces, lose digits; two halves replace the layer
-GROWTH = 1.3  # between distances from pole to pole beyond the exact ones; the tangent is exact to 1e-7
+GROWTH = 1.3  # ratio of successive pole distances beyond the exact poles; the tangent is exact to 1e-7
 OFF_POLE = 1e-9  # least distance from a pole, over its place
 SINGULAR = 3e-5  # smaller eigenvalues of E_y at k_y = 0 cost digits in conical light, by their inverse square
 FURTHER = 4  # exact poles beyond the largest argument

@@ -1,4 +1,4 @@
-"""Piecewise-polynomial basis across the grooves of a line grating, on a mesh that knows the walls.
+"""Piecewise-polynomial basis across the grooves of a line grating, on a mesh aligned with the walls.
 
 E_y, E_z and H_x are continuous across a wall and take continuous polynomials; E_x and H_y take discontinuous ones of
 one degree less, which contain the derivatives of the first. Multiplication by a permittivity that is constant in each

@@ -133,7 +133,7 @@ def line_response(
 
 
 def _mesh_of(stack: PeriodicStack, patterned: list[PatternLayer], k0: float, level: int) -> LineMesh:
-    """Return the mesh for the walls of all layers; each region takes the largest index found in it."""
+    """Return the mesh for the walls of all layers; each region uses its largest index."""
     period = stack.cell.period_x
     lines = [shape for layer in patterned for shape, _ in layer.shapes if isinstance(shape, Rectangle)]
     starts, middles = regions(period, np.array([x for line in lines for x in (line.x_0, line.x_1)]))

@@ -228,7 +228,7 @@ def _nearest(lattice: Array, transverse: Array) -> Array:
 
 
 def _places(numbers: Array, wanted: Array) -> Array:
-    """Return the row of each wanted order; all are there."""
+    """Return the row of each requested order; all must exist."""
     low = numbers.min(axis=0)
     table = np.zeros(numbers.max(axis=0) - low + 1, dtype=int)
     table[tuple((numbers - low).T)] = np.arange(len(numbers))
@@ -253,7 +253,7 @@ def _admittance(waves: Array, index: complex) -> tuple[Array, Array, Array]:
 
 
 def _node_images(channels: Channels, counts: Counts, turn: Array) -> NDArray[np.intp]:
-    """Return the number (row by row) of the node to which a symmetry takes each node."""
+    """Return the number (row by row) of the node to which a symmetry maps each node."""
     along = [nodes(count) for count in counts]
     u = np.stack(np.meshgrid(*along, indexing="ij"), axis=-1).reshape(-1, 2)
     other = u @ channels.span @ turn @ np.linalg.pinv(channels.span)

@@ -152,7 +152,7 @@ def cached_solution(
     stack: PeriodicStack, wavelength_nm: float, theta_rad: float, phi_rad: float, tolerance: float | None,
     is_strict: bool = True,
 ) -> OrderSolution:  # fmt: skip
-    """Return `solve` of one case, stored on disk if it takes long."""
+    """Return `solve` of one case, stored on disk if it is slow."""
     case = stack, wavelength_nm, theta_rad, phi_rad, tolerance
     return _stored(case_key(*case), lambda: solve(*case, is_strict))
 

@@ -27,7 +27,7 @@ SAFETY = {"lines": 0.5, "profile": 0.5, "elements": 0.7, "rectangles": 1.5, "fou
 METAL_SAFETY = {"lines": 0.5, "profile": 0.3, "elements": 0.35, "ovals": 1.0}
 TOLERANCE = {"lines": 2e-4, "profile": 5e-5, "elements": 2e-4, "rectangles": 3e-3, "fourier": 4e-3, "ovals": 4e-3}
 LEAST_ERROR = {"lines": 1e-5, "profile": 2e-6, "elements": 1e-5, "rectangles": 2e-4, "fourier": 2e-4, "ovals": 1e-3}
-LARGEST_ERROR = 2e-2  # where no tolerance is asked for, a larger error is refused; a smaller one is stated
+LARGEST_ERROR = 2e-2  # without a given tolerance, a larger error is refused; a smaller one is stated
 LARGEST_TOLERANCE = 0.1  # largest tolerance in a recipe
 SINGULAR = 1.5e-3  # error at corners above which all sizes of elements are tried, in some ten seconds
 CHECKS = 3  # sizes of elements that check a smaller error at corners made from metal
@@ -35,7 +35,7 @@ MAX_WALLS = 6  # along one axis: elements between more of them are too many
 SLICES = {"lines": (12, 24), "fourier": (12,)}  # additional slices for sloping walls
 SLICES_RATE = 1.5  # observed: the error of steps falls as count^-2 in s, as count^-1 to count^-1.5 in p
 SLICES_SAFETY = 1.5  # error estimate, relative to the difference of the finer solution from the extrapolated limit
-SLICES_TOLERANCE = {"lines": 2e-3, "fourier": 1e-2}  # where none is asked for
+SLICES_TOLERANCE = {"lines": 2e-3, "fourier": 1e-2}  # without a given tolerance
 ADJACENT_STEP = 2  # size of adjacent layers of metal lines: 1e-3, where the smallest has errors up to 1.3e-2
 STEEP, STEEP_RATIO = 4.0, 0.5  # slope beside a corner of a profile beyond which errors only halve from size to size
 CHANCE = 6.0  # error of Fourier series over a change that is small by chance; at most 5 in ten clear discs
@@ -173,7 +173,7 @@ def _unchecked(stack: PeriodicStack) -> float:
 
 
 def _checked(best: OrderSolution, wavelength_nm: float, tolerance: float | None, is_strict: bool) -> OrderSolution:
-    """Return a solution unless its error is above the tolerance, or, where none is asked for, too large."""
+    """Return a solution if its error is below the tolerance, or below `LARGEST_ERROR` without a tolerance."""
     largest = tolerance or LARGEST_ERROR
     if is_strict and best.error > largest:
         raise NotConvergedError(

@@ -116,7 +116,7 @@ class PeriodicStack:
         cover: real index of the light's medium.
         layers: from the top down.
         substrate: complex index.
-        refined: of a structure with sloping walls, which `layers` approximate by steps: returns it with more steps.
+        refined: for sloping walls, which `layers` approximate by steps: function that returns more steps.
         tilted: the layers of lines with straight walls, each with the distance by which the upper end of each wall lies
             inside its place at half the height.
     """

@@ -32,7 +32,7 @@ SPREAD_REACH = 3.5  # half width of an average over a spread, in standard deviat
 MOST_PITCHES = 161
 PARTS_A_TURN = 2  # parts of constant pitch of a helix with a gradient
 FEWEST_PARTS = 16
-# fringes and steps of each in the thickness average that stands for an incoherent anisotropic layer: R within 1e-5, on
+# fringes and steps of each in the thickness average that replaces an incoherent anisotropic layer: R within 1e-5, on
 # metals near grazing incidence 1.5e-3; beside another such layer 1e-3 and 0.02
 FRINGES, FRINGE_STEPS = (7, 5), (17, 7)
 BLACKMAN_HARRIS = (0.35875, -0.48829, 0.14128, -0.01168)
@@ -152,7 +152,7 @@ def polarised_response(
         theta_rad: incidence angles, `[angle]` or `[angle, wavelength]`, in [0, pi/2].
         azimuth_rad: azimuth of the direction towards the light, from u to v.
         absorption: compute the absorption of each layer; only for coherent stacks.
-        slice_share: share of helical slices, for a quicker answer with an error near 1e-4.
+        slice_share: share of helical slices, for a faster result with an error near 1e-4.
         jobs: threads.
 
     Raises:
@@ -164,7 +164,7 @@ def polarised_response(
     bottom = flipped(substrate)
     variants = _variants(turned, rays)
     if absorption and (len(variants) > 1 or any(layer.incoherent for layer in layers)):
-        raise NacreError("the absorption of layers is known for coherent stacks without a spread of the pitch")
+        raise NacreError("the absorption of layers is defined only for coherent stacks without a spread of the pitch")
     found = [(weight, _grouped(rays, variant, bottom, absorption)) for weight, variant in variants]
     if len(found) == 1:
         return found[0][1]

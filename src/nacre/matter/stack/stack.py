@@ -261,7 +261,7 @@ class Stack:
             wavelengths_nm: vacuum wavelengths.
             azimuth_rad: azimuth of the direction towards the light, from u.
             absorption: compute the absorption of each layer.
-            slice_share: share of helical slices, for a quicker answer with an error near 1e-4.
+            slice_share: share of helical slices, for a faster result with an error near 1e-4.
             jobs: threads.
 
         Raises:

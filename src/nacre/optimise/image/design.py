@@ -45,7 +45,7 @@ CHART_POINTS, CHART_MARKS = 4000, 400  # grid and picture colours in the gamut c
 
 @dataclass(frozen=True, eq=False)
 class PictureDesign:
-    """DesignTask picture and its reproduction.
+    """The target picture and its reproduction.
 
     Attributes:
         asked: `[row, column, 3]`, encoded target sRGB.

@@ -1,4 +1,4 @@
-"""Dot-matrix holograms: a picture seen under a lamp becomes maps of the turn and the grating period.
+"""Dot-matrix holograms: a picture seen under a lamp becomes maps of grating azimuth and period.
 
 Each pixel is three dots side by side, one for each of three wavelengths; two pictures take turns row by row. A dot
 sends one wavelength to the viewer: its wave vector is g = q / lambda, with q the sum over the transverse directions to

@@ -265,7 +265,7 @@ class LeastSquaresSearch(Search):
         self.sufficient_samples = int(np.clip(DEFAULT_SAMPLES * factor, 0, self.options.max_samples))
 
     def _increase_samples(self) -> bool:
-        """Take four times the samples and refine anew, until the noise is small; return whether that was done.
+        """Refine with four times the samples, repeatedly, until the noise is small; return whether that was done.
 
         In fours: another sample count needs another kernel, which takes seconds to compile.
         """

@@ -58,11 +58,11 @@ def descend(
 
     Args:
         residuals: of a point; None if they cannot be computed.
-        jacobian: of a descent at its point, `[residual, parameter]`.
+        jacobian: function of a descent, `[residual, parameter]` at its point.
         columns: parameter indices.
         low: lower bounds for these parameters.
         ftol: relative step gain below which the descent has converged.
-        is_enough: asked after each successful step.
+        is_enough: whether to stop, called after each successful step.
     """
     if run.is_converged:
         return

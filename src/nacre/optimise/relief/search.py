@@ -226,7 +226,7 @@ class ReliefSearch(Search):
             raise BudgetExhausted
 
     def _run_stages(self) -> bool:
-        """Run the stages; return whether the design is complete, which it is without its perturbed restarts."""
+        """Run the stages; return whether the design is complete. Perturbed restarts are optional."""
         while self.stage < len(self.plan):
             stage = self.plan[self.stage]
             # evaluations are counted between stages, so that the thread order does not change the result

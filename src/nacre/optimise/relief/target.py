@@ -66,7 +66,7 @@ class ColourSource(RecipeModel):
     )
     spectrum: FileSpec | None = Field(
         default=None,
-        description="a file of a reflectance spectrum, or a table of the file and what it lacks; its colour under D65",
+        description="a reflectance spectrum, as a file or a table with missing properties; its colour under D65",
         examples=["reflectance.csv"],
     )
 

@@ -214,7 +214,7 @@ def _recipe(spec: DesignSpec, context: RecipeContext) -> dict[str, Any]:
     for key in recipe:
         if key not in (*RECIPE_KEYS, "family", HEIGHTS, "height_scale_um", "accuracy", "bounded"):
             raise RecipeError(
-                f"{context.source}: recipe.{key} is not known of a relief; keys: {', '.join(RECIPE_KEYS)}"
+                f"{context.source}: recipe.{key} is not known for a relief; keys: {', '.join(RECIPE_KEYS)}"
             )
     return recipe
 

@@ -223,7 +223,7 @@ def _cross(space: Any, media: Any, d: Any, layers: int, mate_media: Any, mate_d:
 
 @compiled(error_model="numpy")
 def _mutate_layer(space: Any, media: Any, d: Any, layers: int, operator: int) -> None:
-    """Draw a thickness anew, perturb all thicknesses, or draw another material."""
+    """Redraw one thickness, perturb all thicknesses, or draw another material."""
     if layers == 0:
         return
     if operator == 7:

@@ -479,7 +479,7 @@ def search(
         solutions: at most.
         on_progress: called after every generation with the best objective (coarse grid) and a function that returns
             its solution.
-        stop: asked after every generation; True ends the search with the best so far.
+        stop: called after every generation; True ends the search with the best so far.
         jobs: threads; default: as many as this process may use.
 
     Raises:

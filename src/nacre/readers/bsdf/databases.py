@@ -270,7 +270,7 @@ class Warp:
         return blended
 
     def invert(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """Map a position back to the uniform (x, y) that `sample` takes there."""
+        """Map a position back to the uniform (x, y) from which `sample` produces it."""
         rows, columns = self.density.shape
         cu, cv = np.clip(u, 0.0, 1.0) * (columns - 1), np.clip(v, 0.0, 1.0) * (rows - 1)
         column, row = np.minimum(cu.astype(int), columns - 2), np.minimum(cv.astype(int), rows - 2)
@@ -510,7 +510,7 @@ class RglBsdf:
 
 
 def _place(x: Array, nodes: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the node below each x, and the share of the next one; values beyond the ends are held."""
+    """Return the node below each x, and the share of the next one, clamped beyond the ends."""
     place = np.interp(x, nodes, np.arange(len(nodes)))
     low = np.minimum(place.astype(int), len(nodes) - 2)
     return low, place - low

@@ -509,7 +509,7 @@ def _over_cosine(theta: Array, intensity: Array) -> Array:
 
 
 def hemispherical_share(theta_deg: Array, phi_deg: Array, f: Array) -> float:
-    """Integrate f cos over a hemisphere by trapezia; azimuths from 0 to 180 degrees stand for both sides.
+    """Integrate f cos over a hemisphere by trapezia; azimuths from 0 to 180 degrees represent both sides.
 
     Args:
         f: `[theta, phi]`, 1/sr.

@@ -63,7 +63,7 @@ def _sections(data: bytes) -> list[tuple[str, Section]]:
 
 
 def _scale_um(image: Section, scanner: Mapping[str, str], bits: int) -> tuple[float, str] | None:
-    """Return um per integer and the unit in the file, or None if the channel holds no lengths.
+    """Return um per integer and the unit in the file, or None if the channel does not hold lengths.
 
     The full range of the integers is the hard value of the Z scale, times the sensitivity that it names.
     """
@@ -172,7 +172,7 @@ def read_wsxm(path: Path, options: ReadOptions) -> list[Measurement]:
         return [_matrix(path, decoded(data), options)]
     found = re.search(rb"Image header size:\s*(\d+)", data[:400])
     if found is None:
-        raise ValueError("it states no size of its head")
+        raise ValueError("it does not state the size of its head")
     size = int(found[1])
     head = data[:size].decode("latin-1")
     fields: dict[str, str] = {}
@@ -234,7 +234,7 @@ def sniff_jpk(head: FileHead) -> float:
         return 0.0
     import tifffile
 
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # damage ends in one line of ours
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # damage ends in one line by nacre
     try:
         with tifffile.TiffFile(head.path) as file:
             tags = file.pages.first.tags
@@ -362,13 +362,13 @@ def sniff_topostats(head: FileHead) -> float:
     """Return 1 for HDF5 with `topostats_file_version` or an image and a scale from pixels to nm."""
     if not head.data.startswith(HDF5_MAGIC):
         return 0.0
-    # names of later groups stand behind the traces of grains
+    # names of later groups follow the traces of grains
     data = head.data if TOPOSTATS_KEY in head.data or head.size > MAX_BYTES else head.path.read_bytes()
     return CERTAIN if TOPOSTATS_KEY in data else 0.0
 
 
 def read_topostats(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read the flattened image, or the original one if there is no other."""
+    """Read the flattened image, or else the original one."""
     with opened(path) as file:
         scale: Any = dataset(file, "pixel_to_nm_scaling")
         name, image = next(((n, d) for n in TOPOSTATS_IMAGES if (d := dataset(file, n)) is not None), ("", None))
@@ -758,7 +758,7 @@ def sniff_gsf(head: FileHead) -> float:
 
 
 def read_gsf(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read one map; units that the head lacks are asked for."""
+    """Read one map; units missing in the head must be given."""
     data = path.read_bytes()
     end = data.index(b"\0")
     lines = data[len(GSF_MAGIC) : end].decode("utf-8", "replace").splitlines()

@@ -34,7 +34,7 @@ BAD = re.compile(r"\b(?:BAD|NA|N/A|null|void)\b|(?<!\S)-{2,}(?!\S)")
 
 
 def length_um(unit: str) -> float | None:
-    """Return a length unit in um, or None if it is no length; `~m` and both micro signs mean um."""
+    """Return a length unit in um, or None if it is not a length; `~m` and both micro signs mean um."""
     text = unit.strip().strip("[]()").strip().replace("μ", "u").replace("µ", "u").replace("~", "u")
     text = "um" if text in ("u", "�m") else text
     return LENGTHS_UM.get(text, LENGTHS_UM.get(text.lower()))
@@ -223,7 +223,7 @@ def height_map(
     heights = np.ma.filled(np.ma.asarray(heights_um).astype(float), np.nan)
     check_shape((heights.shape[0], heights.shape[1]))
     if min(heights.shape) == 1:
-        raise NacreError(f"{path}: holds a profile of {heights.size} points; heights are a map")
+        raise NacreError(f"{path}: holds a profile of {heights.size} points; a height map is needed")
     heights[~np.isfinite(heights)] = np.nan
     if np.nanmax(np.abs(heights), initial=0.0) > HIGHEST_UM:
         raise ValueError(f"heights of up to {np.nanmax(np.abs(heights)):.3g} um")

@@ -292,7 +292,7 @@ LARGEST_M = 0.01  # a length in metres below 1 cm: no abscissa of a spectrum beg
 
 
 def sniff_profile(head: FileHead) -> float:
-    """Return a fair confidence for lateral positions and heights under such a heading, or in metres from 0."""
+    """Return a medium confidence for lateral positions and heights under such a heading, or in metres from 0."""
     if b"\0" in head.data[:4096]:
         return 0.0
     lines = [line for line in surface.decoded(head.data).splitlines() if line.strip()]
@@ -341,7 +341,7 @@ def sniff_grid(head: FileHead) -> float:
 
 
 def read_grid(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read one map; the unit is asked for, and holds for x and y too unless `pitch_um` states their distance."""
+    """Read one map; its unit must be given, and also applies to x and y without `pitch_um`."""
     data = path.read_bytes()
     layout = {b"DSAA": _surfer_text, b"DSBB": _surfer_6, b"DSRB": _surfer_7}.get(data[:4], _esri)
     heights, steps = layout(path, data)

@@ -139,12 +139,14 @@ def read_bruker_dpt(path: Path, options: ReadOptions) -> list[Measurement]:
     unit = common.option_unit(path, options)
     reach = f"{table[:, 0].min():g} to {table[:, 0].max():g}"
     if unit is None:
-        raise AmbiguousFileError(f"{path}: no unit of the abscissa ({reach}) in a .dpt", "unit", ("nm", "1/cm", "um"))
+        raise AmbiguousFileError(
+            f"{path}: a .dpt file does not state the unit of its abscissa ({reach})", "unit", ("nm", "1/cm", "um")
+        )
     label = common.option_label(path, options)
     if label is None:
         size = common.typical(to_nm(table[:, 0], unit), table[:, 1])
         choices = ("reflectance", "transmittance", "absorbance", "counts")
-        raise AmbiguousFileError(f"{path}: no quantity in a .dpt, values up to {size:.4g}", "quantity", choices)
+        raise AmbiguousFileError(f"{path}: its quantity (up to {size:.4g}) is not stated", "quantity", choices)
     notes = Notes()
     return [common.spectrum(path, table[:, 0], table[:, 1], label, options, unit=unit, notes=notes)]
 
@@ -450,7 +452,7 @@ def read_jasco_jws(path: Path, options: ReadOptions) -> list[Measurement]:
             choices = ("absorbance", "reflectance (%)", "transmittance (%)")
             raise AmbiguousFileError(f"{path}: no quantity in the file, values up to {size:.4g}", "quantity", choices)
         raise AmbiguousFileError(
-            f"{path}: no quantity in the file; per cent by size", "quantity", ("reflectance (%)", "transmittance (%)")
+            f"{path}: its quantity is missing; per cent by size", "quantity", ("reflectance (%)", "transmittance (%)")
         )
     notes.left_out += [f"channel {number}" for number in range(2, channels + 1)]
     return [common.spectrum(path, x, table[0], label, options, unit=unit, notes=notes)]

@@ -24,7 +24,7 @@ from nacre.readers.units import to_nm
 # USGS spectral library 7 (splib07, Kokaly et al. 2017, USGS Data Series 1035): ASCII files of one column.
 #
 # A spectrum is a title line, such as ` splib07a Record=5932: Kaolinite CM5  BECKb AREF`, and one value a line. Its
-# wavelengths, um, stand in a file of the same form beside it, or in the folder above:
+# wavelengths, um, are in a file of the same form beside it, or in the folder above:
 # `splib07a_Wavelengths_BECK_Beckman_0.2-3.0_microns.txt`. Deleted channels hold -1.23e34.
 
 DELETED = -1e30  # at most; the library writes -1.23e34
@@ -624,7 +624,7 @@ def _spc_ordinates(path: Path, data: bytes, at: int, count: int, exponent: int, 
     if exponent == FLOATS:
         return _numbers(path, data, at, count, f"{head.order}f4").astype(float), 4 * count
     size = 2 if head.flags & _SIXTEEN_BIT else 4
-    if head.size == 224 and size == 4:  # words of the old format: the more significant stands first
+    if head.size == 224 and size == 4:  # words of the old format: the more significant comes first
         words = _numbers(path, data, at, 2 * count, "<u2").astype(np.int64).reshape(count, 2)
         integers = (words[:, 0] << 16) + words[:, 1]
         integers = np.where(integers >= 1 << 31, integers - (1 << 32), integers)

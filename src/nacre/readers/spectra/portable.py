@@ -174,7 +174,7 @@ def sniff_stellarnet(head: FileHead) -> float:
 
 
 def read_stellarnet(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read the two columns; the view decides the quantity, and the suffix where the view is another.
+    """Read the two columns; the view, or else the suffix, states the quantity.
 
     Raises:
         NacreError: no rows of two numbers.
@@ -221,7 +221,7 @@ _SETTINGS = re.compile(r"SciMode\s*:|\bIT1\s*=.*\bObj\s*=")
 
 
 def sniff_craic_text(head: FileHead) -> float:
-    """Return 1 if a quantity stands in the second line and the microscope's settings in the third."""
+    """Return 1 for a quantity in the second line and the microscope's settings in the third."""
     lines = [line for line in head.lines[:8] if line.strip()]
     return CERTAIN if len(lines) > 3 and any(_SETTINGS.search(line) for line in lines[:4]) else 0.0
 

@@ -339,7 +339,7 @@ def _columns(
 def _without_counts(
     spectra: list[tuple[int, Array | None]], names: list[str], notes: Notes
 ) -> list[tuple[int, Array | None]]:
-    """Leave counts out where a reflectance, transmittance or absorbance stands beside them."""
+    """Omit columns of counts beside a reflectance, transmittance or absorbance."""
     labels = [common.label_of(names[column]) for column, _ in spectra]
     is_processed = [bool(re.match("processed", names[column], re.IGNORECASE)) for column, _ in spectra]
     if any(is_processed) and any(label is not None and label.quantity == "counts" for label in labels):

@@ -104,7 +104,7 @@ def _check_passive(matrix: ComplexArray) -> None:
     excess = axisymmetric.gain(matrix)
     if excess > tmatrix.GAIN_TOLERANCE:
         raise TMatrixFileError(
-            f"is of a particle that radiates more than it gets (by {100 * excess:.2g} %): not passive"
+            f"describes a particle that radiates more power than it receives (by {100 * excess:.2g} %): not passive"
         )
 
 
