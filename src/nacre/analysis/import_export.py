@@ -370,7 +370,7 @@ def _import_film(source: Path, recipe: Path, name: str | None = None) -> list[st
     try:
         material_from_data(coated, RecipeContext("film"))
     except NacreError as error:  # leave no recipe that the next command refuses
-        raise NacreError(f"{source}: holds a film that cannot be: {str(error).removeprefix('film: ')}") from None
+        raise NacreError(f"{source}: holds an impossible film: {str(error).removeprefix('film: ')}") from None
     if isinstance(thickness, dict) and film.thickness_map is not None:
         _write_grey(picture, film.thickness_map)
         remarks.append(f"the thickness map is {picture.name}, from {thickness['min']:g} to {thickness['max']:g} nm")

@@ -69,7 +69,7 @@ def write_page(folder: Path, task: DesignTask, design: Any, seconds: float, begu
     left = GAMUT_SHARE * seconds - (clock() - page_begun)
     # at most as long as the design took
     left = min(left, max(design.seconds, MIN_GAMUT_S))
-    gamut = _gamut(task, left, design.solutions[0].facts.get("judging_s", 0.0))
+    gamut = _gamut(task, left, design.solutions[0].facts.get("evaluation_s", 0.0))
     design.summary["seconds"] = round(clock() - begun, 3)
     light, spec = task.spec.light, task.spec.model_dump(exclude_none=True)
     page = render_page(

@@ -259,7 +259,7 @@ def _finish(task: DesignTask, result: Result, previous_best: dict[str, Any] | No
     required = 1 + (previous_best is not None)
     solutions: list[Solution] = []
     for number, changes in enumerate(chosen):
-        last_s = solutions[-1].facts.get("judging_s", 0.0) if solutions else 0.0
+        last_s = solutions[-1].facts.get("evaluation_s", 0.0) if solutions else 0.0
         if number >= required and (last_s > writer.left_s or result.status == "interrupted"):
             break  # the others remain in the checkpoint
         min_s = SHARES.min_sensitivity_s if number == 0 else 0.0
@@ -325,7 +325,7 @@ def evaluate_solution(
     except NacreError:
         return None
     took = clock() - begun
-    facts: dict[str, Any] = {"judging_s": took}
+    facts: dict[str, Any] = {"evaluation_s": took}
     with contextlib.suppress(NacreError):
         paths = [p for p in numbers_of(made.data) if is_chosen(p, changes, task.parameters) and made.get(p)]
         asked = (task.targets, spec.light, spec.search.seed)

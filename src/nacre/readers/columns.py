@@ -31,7 +31,7 @@ def load_tables(path: Path) -> TableFile:
     """Read the tables of a text file with the vocabulary of `headings`.
 
     Raises:
-        NacreError: not readable, or no table of numbers.
+        NacreError: not readable, or without a table of numbers.
     """
     return _not_empty(path, read_tables(path, knows))
 
@@ -236,7 +236,7 @@ def interpret(
             energy whose unit the numbers decide.
 
     Raises:
-        AmbiguousFileError: no headings, or one that may state several quantities.
+        AmbiguousFileError: the headings are missing, or one may state several quantities.
         NacreError: an unknown heading, one that stands twice, or a cell that is not a number.
     """
     path = table.path

@@ -55,7 +55,7 @@ def read_accurion(path: Path, options: ReadOptions) -> list[Measurement]:
     """Return one measurement per place and region of interest; repeats in zones are averaged.
 
     Raises:
-        NacreError: no rows, or rows of different lengths.
+        NacreError: rows are missing or have different lengths.
     """
     lines = text_lines(path)
     start = next(i for i, line in enumerate(lines) if line.startswith("#") and set(_names_accurion(line)) >= NEEDED)
@@ -272,8 +272,8 @@ def read_horiba(path: Path, options: ReadOptions) -> list[Measurement]:
     """Return Psi and Delta, or C and S.
 
     Raises:
-        NacreError: no unit, or columns without Psi and Delta.
-        AmbiguousFileError: no angle.
+        NacreError: the unit is missing, or the columns lack Psi and Delta.
+        AmbiguousFileError: the angle is missing.
     """
     sections: dict[str, list[tuple[int, str]]] = {}
     name = ""
@@ -639,7 +639,7 @@ def read_woollam_dat(path: Path, options: ReadOptions) -> list[Measurement]:
     """Return Psi and Delta, then each further quantity as a measurement of its own.
 
     Raises:
-        NacreError: no unit or rows, or impossible values.
+        NacreError: unit or rows are missing, or values are impossible.
     """
     lines = text_lines(path)
     start = next(i for i, line in enumerate(lines) if line.startswith("VASEmethod["))

@@ -73,7 +73,7 @@ _JAPANESE = re.compile("波長|波数|反射|透過|屈折|消衰|吸光|角度|
 
 
 def is_japanese(data: bytes) -> bool:
-    """Whether bytes that are no UTF-8 are Shift-JIS text with words of measurements."""
+    """Whether bytes other than UTF-8 are Shift-JIS text with words of measurements."""
     try:
         return bool(_JAPANESE.search(data.decode("cp932")[:20_000]))
     except UnicodeDecodeError:
@@ -112,7 +112,7 @@ def load_text(path: Path, limit: int = MAX_BYTES) -> str:
     """Return a file's text.
 
     Raises:
-        NacreError: as `load_bytes`, or no text.
+        NacreError: as `load_bytes`, or binary data.
     """
     try:
         return decode(load_bytes(path, MEMORY_FACTOR, limit))
@@ -287,7 +287,7 @@ def read_tables(path: Path, knows: Callable[[str, str], bool], limit: int = MAX_
         limit: largest size in bytes.
 
     Raises:
-        NacreError: not readable, no text, or rows of different width.
+        NacreError: not readable, binary, or rows of different width.
     """
     return parse_tables(load_text(path, limit), path, knows)
 

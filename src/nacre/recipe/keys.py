@@ -451,7 +451,7 @@ def _given(key: str, made: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _add_units(made: dict[str, Any]) -> None:
-    """Allow every length of a table in exactly one units."""
+    """Allow each length of a table in exactly one unit."""
     required = list(made.get("required", []))
     rules: list[dict[str, Any]] = []
     properties: dict[str, Any] = {}

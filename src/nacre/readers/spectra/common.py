@@ -189,7 +189,9 @@ _MILLI = re.compile(r"\bm(?:au|abs|od)\b")
 
 
 def label_of(text: str) -> Label | None:
-    """Return the quantity and the scale that a label names, or None.
+    """Return the quantity and the scale that a label of an instrument's program names, or None.
+
+    A label may be a sentence, in several languages; `headings.meanings` reads the terser headings of tables.
 
     Example:
         >>> label_of("%R"), label_of("Transmission (%)"), label_of("Abs").quantity

@@ -108,7 +108,7 @@ def _page(path: Path) -> Page:
     """Read a title and one number a line.
 
     Raises:
-        NacreError: no title, or a line that is not one number.
+        NacreError: the title is missing, or a line is not one number.
     """
     lines = common.read_lines(path)
     match = _TITLE.match(lines[0]) if lines else None
@@ -134,7 +134,7 @@ def _beside(page: Page) -> tuple[Array, Path]:
     the same spectrometer.
 
     Raises:
-        NacreError: no such file, or several of unlike wavelengths.
+        NacreError: such a file is missing, or several have unlike wavelengths.
     """
     fitting, lengths = [], []
     for other in _wavelength_files(page):

@@ -131,7 +131,7 @@ def read_svc_sig(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the fourth column, target / reference.
 
     Raises:
-        NacreError: no rows of four numbers after `data=`.
+        NacreError: rows of four numbers after `data=` are missing.
     """
     lines = common.read_lines(path)
     begin = next((place for place, line in enumerate(lines) if line.strip().startswith("data=")), None)
@@ -177,7 +177,7 @@ def read_stellarnet(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the two columns; the view, or else the suffix, states the quantity.
 
     Raises:
-        NacreError: no rows of two numbers.
+        NacreError: rows of two numbers are missing.
         AmbiguousFileError: neither names a quantity, or they contradict each other.
     """
     lines = common.read_lines(path)
