@@ -30,10 +30,8 @@ from nacre.core.arrays import interpolate
 from nacre.core.machine import single_threaded_blas
 from nacre.light import spectrum_to_xyz, xyz_to_lab
 from nacre.light.colour_spaces import delta_e_2000
-from nacre.matter.periodic.line_elements import solve_elements
-from nacre.matter.periodic.order_tables import order_tables
+from nacre.matter.periodic.order_tables import order_tables, solve_as_table
 from nacre.matter.periodic.solve import difference, size_count, solve, solve_coarse, solve_many
-from nacre.matter.periodic.structure import OrderSolution, PeriodicStack
 from nacre.render import make_bsdf, use_variant
 
 WAVELENGTHS_NM = np.linspace(400.0, 700.0, 16)
@@ -53,6 +51,12 @@ PROFILES = {
     "sinusoid of aluminium": {"shape": "sinusoidal", "depth_nm": 100},
     "blazed aluminium": {"shape": "blazed", "depth_nm": 100, "apex": 0.9},
 }
+SLOPES = {
+    # name -> material, substrate
+    "trapezoids of aluminium on aluminium": ("Al", "Al"),
+    "trapezoids of aluminium on glass": ("Al", {"n": 1.5}),
+    "trapezoids of silicon on glass": ("Si", {"n": 1.5}),
+}
 LONGEST_S = 60.0  # CPU seconds of one solution, above which a code's ladder ends
 DIRECTIONS, PILLAR_DIRECTIONS = 60, 20
 
@@ -62,6 +66,14 @@ def recipe(name: str) -> dict[str, Any]:
     if name in PROFILES:
         return {
             "family": "grating", "substrate": "Al", "lattice": {"period_nm": 400}, "profile": PROFILES[name],
+            "wavelengths": {"min_nm": 400, "max_nm": 700, "step_nm": 20},
+        }  # fmt: skip
+    if name in SLOPES:
+        material, substrate = SLOPES[name]
+        line = {"shape": "line", "width_nm": 200, "material": material, "sidewall_deg": 80}
+        return {
+            "family": "grating", "substrate": substrate, "lattice": {"period_nm": 400},
+            "layers": [{"thickness_nm": 100, "material": "air", "shapes": [line]}],
             "wavelengths": {"min_nm": 400, "max_nm": 700, "step_nm": 20},
         }  # fmt: skip
     material, height, thickness, period, _, _ = CASES[name]
@@ -128,13 +140,6 @@ def speed(name: str, worker: Worker | None, codes: list[str]) -> Row:
     return Row(f"{name}, 16 wavelengths: faster than {fastest}", times[fastest] / own, "x", bar, note=note)
 
 
-def directly(stack: PeriodicStack, wavelength: float, theta: float, phi: float) -> OrderSolution:
-    """Return the orders of one direction by the method and the size of the table."""
-    if stack.profile is not None:
-        return solve_elements(stack, 2.0 * np.pi / wavelength, theta, phi, 0)
-    return solve_coarse(stack, wavelength, theta, phi)
-
-
 def table_rows(name: str, count: int, bar: float | None) -> list[Row]:
     """Measure a material and the colours between the nodes of its table."""
     model = nacre.load(recipe(name)).model
@@ -149,7 +154,7 @@ def table_rows(name: str, count: int, bar: float | None) -> list[Row]:
     with single_threaded_blas():
         for d in range(count):
             for w, wavelength in enumerate(WAVELENGTHS_NM):
-                side = directly(stacks[w], float(wavelength), theta[d], azimuth[d] + np.pi).reflected
+                side = solve_as_table(stacks[w], float(wavelength), theta[d], azimuth[d] + np.pi).reflected
                 is_zero = np.all(side.numbers == 0, axis=1)
                 mean = side.efficiency.mean(axis=1)
                 exact[:, d, w] = mean[is_zero].sum(), mean[~is_zero].sum()
@@ -248,7 +253,7 @@ def main(arguments: list[str] | None = None) -> int:
             notes |= {"missing": missing} if missing else {}
             rows += [speed(name, worker, list(codes)) for name in CASES]
         if "tables" in parts:
-            for name in ("lines of aluminium", "lines of silicon", *PROFILES):
+            for name in ("lines of aluminium", "lines of silicon", *PROFILES, *SLOPES):
                 rows += table_rows(name, DIRECTIONS, 20.0)
             rows += table_rows("pillars of silicon", PILLAR_DIRECTIONS, 1200.0)
         if "candidates" in parts:

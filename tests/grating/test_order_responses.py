@@ -21,6 +21,7 @@ from nacre.matter.periodic.element_solver import solve_ovals
 from nacre.matter.periodic.line_elements import solve_elements
 from nacre.matter.periodic.line_solver import solve_profile
 from nacre.matter.periodic.order_responses import (
+    EVEN_NODES,
     LEAST_NODES,
     TAIL,
     Channels,
@@ -100,6 +101,20 @@ def test_a_response_gives_the_orders_of_the_solver(name: str, monkeypatch: pytes
     for found, expected in zip(of_fit(fit, transverse), exact, strict=True):
         assert set(found) == {number for number, value in expected.items() if value > 0.0}
         assert all(abs(found[number] - expected[number]) < allowed for number in found)
+
+
+def test_the_response_of_sloping_metal_lines_is_smooth_along_them() -> None:
+    """Errors that grow towards light along the lines make tables ask for up to 24 nodes in place of 8."""
+    line = {"shape": "line", "width_nm": 200, "material": "Al", "sidewall_deg": 80}
+    made: Any = {"family": "grating", "substrate": "Al", "lattice": {"period_nm": 400},
+                 "layers": [{"thickness_nm": 100, "material": "air", "shapes": [line]}]}  # fmt: skip
+    model: Any = nacre.load(made).model
+    stack = model.stacks(np.array([560.0]))[0]
+    channels = channels_of(stack, 560.0)
+    symmetries = order_tables._symmetries(stack, order_tables._images(stack))
+    u = np.stack([nodes(n)[at] for n, at in zip(EVEN_NODES, solved_nodes(channels, EVEN_NODES, symmetries).T)], axis=1)
+    fit = fitted(channels, responses(channels, u @ channels.span), EVEN_NODES, symmetries)
+    assert next_counts(fit, TAIL[True]) is None
 
 
 @pytest.mark.parametrize("axis", [0, 1])

@@ -114,7 +114,7 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
 
     has_mirror = True
     is_direct = False  # a table over all directions is quicker for many of them
-    version = 6  # orders along the surface carry no energy
+    version = 8  # degree 6 of the smallest elements
     traits = Traits(noun="grating", default_parts=("specular_reflectance", "diffuse_reflectance"), takes_ambient=True)
 
     ambient: OpticalConstant

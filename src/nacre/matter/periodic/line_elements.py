@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.sparse
@@ -46,9 +47,9 @@ DECAY = 20.0  # attenuation over the buffer beyond which evanescent waves are om
 PHASE = 0.7  # largest phase (or decay) across an element, over its degree
 SKINS = 9.0  # penetration depths below a metal surface with separate elements
 MAX_ELEMENTS = 3000
-ALONG = 0.2  # fraction of the cover's k^2 across the lines; below it, errors grow as the inverse and need the next size
+NARROW = 200  # functions on a line, up to which rows are eliminated in turn: dense matrices, shared by many alpha
 MAX_INWARD = 3.0  # largest distance times k0 and the index over which responses are moved inward
-SIZES = ((4, 1), (6, 2), (8, 3), (10, 4), (12, 5))  # degree and grading layers
+SIZES = ((6, 1), (6, 2), (8, 3), (10, 4), (12, 5))  # degree and grading layers
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +105,7 @@ def solve_elements(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: f
     transmitted = empty_orders()
     if stack.is_clear:
         transmitted = side_of(entry * ends[1], stack.substrate.real, -1.0, grid.low)
-    return OrderSolution(reflected, transmitted, np.inf, system.matrix.shape[0] // 2, "elements")
+    return OrderSolution(reflected, transmitted, np.inf, system.unknowns, "elements")
 
 
 def element_response(
@@ -118,8 +119,7 @@ def element_response(
         NotConvergedError: the elements are too many.
         WallsMeetError: walls meet.
     """
-    is_along = stack.cover**2 - transverse[1] ** 2 < ALONG * stack.cover**2
-    system = _system_of(stack, k0, transverse, min(size + is_along, len(SIZES) - 1))
+    system = _system_of(stack, k0, transverse, size, is_shared=True)
     grid, k_y = system.grid, system.k_y
     channels = [side[:, 0] - system.numbers[0] for side in (upper, lower)]
     total = 2 * (len(channels[0]) + len(channels[1]))
@@ -170,15 +170,17 @@ class System:
     """Equations of one wave vector.
 
     Attributes:
-        matrix: over E and then H, without the media outside.
-        joints: of the upper and the lower end: plane waves over the functions there, and numbers of these.
+        equations: of the fields that are coupled.
+        joints: of the upper and the lower end: plane waves over the functions there.
+        unknowns: number of functions of each field.
         numbers, alpha: plane waves outside.
         k_y, period: over k0, and times k0.
     """
 
     grid: Grid
-    matrix: scipy.sparse.csc_matrix
-    joints: list[tuple[Array, Array]]
+    equations: list[tuple[slice, _Sparse | _Rows]]
+    joints: list[Array]
+    unknowns: int
     numbers: Array
     alpha: Array
     k_y: float
@@ -191,42 +193,92 @@ class System:
 
     def solve(self, sides: tuple[_Side, _Side]) -> list[Array]:
         """Return (E_y, H_y) of the plane waves `[wave, 2, case]` at both ends."""
-        matrix = self.matrix
-        source = np.zeros((matrix.shape[0], sides[0].s.shape[2]), dtype=complex)
-        count = matrix.shape[0] // 2
-        for (joint, at), side in zip(self.joints, sides, strict=True):
+        for side in sides:
             side.enter()
-            both = np.concatenate([at, count + at])
-            block = np.block([[(joint * side.y[:, i, j]) @ joint.conj().T for j in (0, 1)] for i in (0, 1)])
+        found = [np.zeros_like(side.s) for side in sides]
+        for fields, equations in self.equations:
+            ends = []
+            for joint, side in zip(self.joints, sides, strict=True):
+                y, s = side.y[:, fields, fields], side.s[:, fields]
+                both = range(s.shape[1])
+                block = np.block([[(joint * y[:, i, j]) @ joint.conj().T for j in both] for i in both])
+                ends.append((block, np.sqrt(self.period) * np.concatenate([joint @ s[:, i] for i in both])))
+            for end, joint, e in zip(found, self.joints, equations.solve(ends), strict=True):
+                waves = joint.conj().T @ e.reshape(-1, len(joint), e.shape[1])
+                end[:, fields] = waves.swapaxes(0, 1) / np.sqrt(self.period)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Sparse:
+    """Equations of all functions; `places` are the numbers of those at the upper and at the lower end."""
+
+    matrix: scipy.sparse.csc_matrix
+    places: tuple[Array, Array]
+
+    def solve(self, ends: list[tuple[Array, Array]]) -> list[Array]:
+        """Return the fields at both ends, from the flux over the field and the source of each."""
+        matrix = self.matrix
+        source = np.zeros((matrix.shape[0], ends[0][1].shape[1]), dtype=complex)
+        for at, (block, given) in zip(self.places, ends, strict=True):
             matrix = matrix - scipy.sparse.csc_matrix(
-                (block.ravel(), (np.repeat(both, len(both)), np.tile(both, len(both)))), matrix.shape
+                (block.ravel(), (np.repeat(at, len(at)), np.tile(at, len(at)))), matrix.shape
             )
-            source[both] += np.sqrt(self.period) * np.concatenate([joint @ side.s[:, 0], joint @ side.s[:, 1]])
+            source[at] += given
         found = scipy.sparse.linalg.splu(
             matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True}
         ).solve(source)  # a twentieth of the default's time
-        return [
-            np.stack([joint.conj().T @ found[at], joint.conj().T @ found[count + at]], axis=1) / np.sqrt(self.period)
-            for joint, at in self.joints
-        ]
+        return [found[at] for at in self.places]
 
 
-def _system_of(stack: PeriodicStack, k0: float, transverse: Array, size: int) -> System:
-    degree, layers = SIZES[size]
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Equations `[row, function, function]` of the lower and then of the upper line of each row of elements."""
+
+    rows: Array
+
+    def solve(self, ends: list[tuple[Array, Array]]) -> list[Array]:
+        """Return the fields at both ends, as `_Sparse` does, by elimination from the lower end up."""
+        (above, upper), (below, source) = ends
+        size, steps = len(above), []
+        system = self.rows[0, :size, :size] - below
+        for k, row in enumerate(self.rows, start=1):
+            step = np.linalg.solve(system, np.hstack([row[:size, size:], source]))
+            steps.append(step)
+            beyond = self.rows[k, :size, :size] if k < len(self.rows) else -above
+            system = row[size:, size:] + beyond - row[size:, :size] @ step[:, :size]
+            source = -row[size:, :size] @ step[:, size:]
+        top = found = np.linalg.solve(system, source + upper)
+        for step in reversed(steps):
+            found = step[:, size:] - step[:, :size] @ found
+        return [top, found]
+
+
+def _system_of(stack: PeriodicStack, k0: float, transverse: Array, size: int, is_shared: bool = False) -> System:
+    """Return the equations of one wave vector.
+
+    Args:
+        is_shared: whether wave vectors with the same k_y follow.
+    """
+    degree, _ = SIZES[size]
     alpha_0, k_y = float(transverse[0]), float(transverse[1])
-    grid = _grid(stack, k0, degree, layers)
+    grid, parts = (_elements if is_shared else _elements.__wrapped__)(stack, k0, k_y, size)
     period = stack.cell.period_x * k0
     half = int(np.ceil((stack.reach + DECAY / (BUFFER * period)) * period / (2.0 * np.pi))) + 1
     numbers = np.arange(-half, half + 1) - int(np.round(alpha_0 * period / (2.0 * np.pi)))
     alpha = alpha_0 + 2.0 * np.pi / period * numbers
     phase = complex(np.exp(1j * alpha_0 * period))
     rows, columns = grid.epsilon.shape
-    matrix, places = _system(grid, degree, k_y, phase)
-    joints = []
-    for edges, at in ((grid.edges[1], rows), (grid.edges[0], 0)):
-        joint = plane_waves(assemble(period, edges, (degree,) * columns), alpha, phase)[0]
-        joints.append((joint, places[at]))
-    return System(grid, matrix, joints, numbers, alpha, k_y, period)
+    equations: list[tuple[slice, _Sparse | _Rows]]
+    if is_shared and columns * degree <= NARROW:
+        equations = [(f, _Rows(_closed(each, columns, degree, phase))) for f, each in _rows(stack, k0, k_y, size)]
+    else:
+        equations = [(fields, _assembled(part, rows, columns, degree, phase)) for fields, part in parts]
+    joints = [
+        plane_waves(assemble(period, edges, (degree,) * columns), alpha, phase)[0] for edges in grid.edges[::-1]
+    ]  # fmt: skip
+    unknowns = rows * columns * (2 * degree - 1) + columns * degree
+    return System(grid, equations, joints, unknowns, numbers, alpha, k_y, period)
 
 
 class _Side:
@@ -282,6 +334,7 @@ def axial(t_x: Array, t_y: Array, k_z: Array | float, index: float) -> Array:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
+@lru_cache(maxsize=8)
 def _nodes(degree: int) -> tuple[Array, Array, Array, Array]:
     """Return nodes and weights on [0, 1], functions and their derivatives `[local, node]`."""
     count = degree + 3
@@ -292,20 +345,28 @@ def _nodes(degree: int) -> tuple[Array, Array, Array, Array]:
     return 0.5 * (x + 1.0), 0.5 * w, values, slopes
 
 
-def _system(grid: Grid, degree: int, k_y: float, phase: complex) -> tuple[scipy.sparse.csc_matrix, list[Array]]:
-    """Return the matrix over E and then H, without the elements' inner functions, and the numbers on flat lines.
+def _outer(degree: int) -> tuple[Array, Array, Array]:
+    """Return whether an element's functions vanish at its boundary, and both indices of the others."""
+    k, m = np.divmod(np.arange((degree + 1) ** 2), degree + 1)
+    inner = (k > 1) & (m > 1)
+    return inner, k[~inner], m[~inner]
 
-    Returns:
-        matrix, and for each line between rows its function numbers, corners first.
+
+@lru_cache(maxsize=16)  # one for each thread
+def _elements(stack: PeriodicStack, k0: float, k_y: float, size: int) -> tuple[Grid, list[tuple[slice, Array]]]:
+    """Return the elements, and their matrices `[element, function, function]` for the fields that are coupled.
+
+    Functions are those of `_outer`, of E and then of H; inner ones are eliminated. The matrices do not depend on alpha.
     """
-    rows, columns = grid.epsilon.shape
-    count, order = rows * columns, degree + 1
+    degree, layers = SIZES[size]
+    grid = _grid(stack, k0, degree, layers)
+    order = degree + 1
     _, w, f, d = _nodes(degree)
     weight = np.outer(w, w).ravel()
     plain, along, up = (
         np.einsum("ka,lb->klab", a, b).reshape(order**2, -1) for a, b in ((f, f), (d, f), (f, d))
     )  # fmt: skip
-    x_u, x_w, z_u, z_w = grid.metric.reshape(4, count, -1)
+    x_u, x_w, z_u, z_w = grid.metric.reshape(4, grid.epsilon.size, -1)
     area = x_u * z_w - x_w * z_u
     uu, ww, uw = (z_w**2 + x_w**2) / area, (z_u**2 + x_u**2) / area, -(z_w * z_u + x_w * x_u) / area
     first, second = along * weight, up * weight
@@ -315,38 +376,39 @@ def _system(grid: Grid, degree: int, k_y: float, phase: complex) -> tuple[scipy.
     crossed = second @ along.T - first @ up.T  # test function first
     epsilon = grid.epsilon.reshape(-1, 1, 1)
     square = epsilon - k_y**2
-    mixed = (k_y / square) * crossed
-    k, m = np.divmod(np.arange(order**2), order)
-    inner = (k > 1) & (m > 1)
     parts = [epsilon / square * stiffness - epsilon * mass, stiffness / square - mass]
-    numbers, turned, places = _numbering(rows, columns, degree, k[~inner], m[~inner])
-    total = numbers.max() + 1
+    fields = [slice(0, 1), slice(1, 2)]
+    inner, _, _ = _outer(degree)
     if k_y:
+        mixed = (k_y / square) * crossed
         parts = [np.concatenate([np.concatenate([parts[0], mixed], 2), np.concatenate([-mixed, parts[1]], 2)], 1)]
-        inner, turned = np.tile(inner, 2), np.tile(turned, 2)
-        members = [np.concatenate([numbers, total + numbers], axis=1)]
-    else:
-        members = [numbers, total + numbers]
-    factor = np.where(turned, phase, 1.0)
-    values, at_row, at_column = [], [], []
-    for part, member in zip(parts, members, strict=True):
-        outer, hidden = np.flatnonzero(~inner), np.flatnonzero(inner)
-        small = part[:, outer[:, None], outer]
-        small = small - part[:, outer[:, None], hidden] @ np.linalg.solve(
-            part[:, hidden[:, None], hidden], part[:, hidden[:, None], outer]
-        )
-        small = factor.conj()[:, :, None] * small * factor[:, None]
-        values.append(small.ravel())
-        at_row.append(np.repeat(member, member.shape[1], axis=1).ravel())
-        at_column.append(np.tile(member, (1, member.shape[1])).ravel())
-    matrix = scipy.sparse.csc_matrix(
-        (np.concatenate(values), (np.concatenate(at_row), np.concatenate(at_column))), (2 * total, 2 * total)
-    )
-    return matrix, places
+        inner, fields = np.tile(inner, 2), [slice(0, 2)]
+    small = [_eliminated(part, np.flatnonzero(~inner), np.flatnonzero(inner)) for part in parts]
+    return grid, list(zip(fields, small, strict=True))
 
 
-def _numbering(rows: int, columns: int, degree: int, k: Array, m: Array) -> tuple[Array, Array, list[Array]]:
+def _eliminated(matrix: Array, outer: Array, hidden: Array) -> Array:
+    """Return matrices `[..., function, function]` over the outer functions, without the hidden ones."""
+    across = matrix[..., hidden[:, None], outer]
+    inside = np.linalg.solve(matrix[..., hidden[:, None], hidden], across)
+    return np.asarray(matrix[..., outer[:, None], outer] - matrix[..., outer[:, None], hidden] @ inside)
+
+
+def _assembled(small: Array, rows: int, columns: int, degree: int, phase: complex) -> _Sparse:
+    numbers, turned, places = _numbering(rows, columns, degree)
+    total, fields = numbers.max() + 1, range(small.shape[1] // numbers.shape[1])
+    member = np.concatenate([numbers + i * total for i in fields], axis=1)
+    factor = np.where(np.tile(turned, len(fields)), phase, 1.0)
+    values = factor.conj()[:, :, None] * small * factor[:, None]
+    at_row, at_column = np.repeat(member, member.shape[1], axis=1), np.tile(member, (1, member.shape[1]))
+    matrix = scipy.sparse.csc_matrix((values.ravel(), (at_row.ravel(), at_column.ravel())), (len(fields) * total,) * 2)
+    upper, lower = (np.concatenate([places[at] + i * total for i in fields]) for at in (rows, 0))
+    return _Sparse(matrix, (upper, lower))
+
+
+def _numbering(rows: int, columns: int, degree: int) -> tuple[Array, Array, list[Array]]:
     """Return the numbers `[element, local]`, whether each lies a period further, and the numbers on each line."""
+    _, k, m = _outer(degree)
     bubbles = degree - 1
     stride = columns * (1 + 2 * bubbles)  # corners, lines and walls in a row
     row, column = np.divmod(np.arange(rows * columns)[:, None], columns)
@@ -358,6 +420,57 @@ def _numbering(rows: int, columns: int, degree: int, k: Array, m: Array) -> tupl
     numbers = np.where((k < 2) & (m < 2), corner, np.where(k > 1, flat, wall))
     places = [j * stride + np.arange(columns * (1 + bubbles)) for j in range(rows + 1)]
     return numbers, np.broadcast_to((k == 1) & (right == columns), numbers.shape), places
+
+
+@lru_cache(maxsize=16)
+def _rows(stack: PeriodicStack, k0: float, k_y: float, size: int) -> list[tuple[slice, Array]]:
+    """Return the matrices of rows `[row, function, function]`, without their inner walls, for the fields coupled.
+
+    Functions, each of E and then of H: lower line (corners, then bubbles), upper line, left end; last the right end,
+    which is a period beyond the first corners and the left end.
+    """
+    grid, parts = _elements(stack, k0, k_y, size)
+    degree, columns = SIZES[size][0], grid.epsilon.shape[1]
+    _, k, m = _outer(degree)
+    bubbles, line = degree - 1, columns * degree + 1
+    column = np.arange(columns)[:, None]
+    wall = column + k
+    rank = np.where(wall == 0, 0, np.where(wall == columns, 1, wall + 1))  # both ends before the inner walls
+    flat = m * line + columns + 1 + column * bubbles + (k - 2)
+    places = np.where((k < 2) & (m < 2), m * line + wall, np.where(k > 1, flat, 2 * line + rank * bubbles + (m - 2)))
+    count = 2 * line + (columns + 1) * bubbles
+    each, left = np.delete(np.arange(line), columns), 2 * line + np.arange(bubbles)
+    right = np.append([columns, line + columns], left + bubbles)
+    found = []
+    for fields, small in parts:
+        both = range(small.shape[1] // places.shape[1])
+        members = np.concatenate([places + i * count for i in both], axis=1)
+        outer = np.concatenate([own + i * count for own in (each, line + each, left, right) for i in both])
+        hidden = np.setdiff1d(np.arange(len(both) * count), outer)
+        rows = []
+        for elements in small.reshape(-1, columns, *small.shape[1:]):
+            full = np.zeros((len(both) * count,) * 2, dtype=complex)
+            for member, element in zip(members, elements, strict=True):
+                full[np.ix_(member, member)] += element
+            rows.append(_eliminated(full, outer, hidden))
+        found.append((fields, np.array(rows)))
+    return found
+
+
+def _closed(rows: Array, columns: int, degree: int, phase: complex) -> Array:
+    """Return rows of `_rows` over their lines, lower and then upper, with the right end a phase beyond the left."""
+    corners, bubbles = columns * degree, degree - 1
+    fields = np.arange(rows.shape[1] // (2 * (corners + 1 + bubbles)))[:, None]
+    lines = 2 * corners * len(fields)
+    inner = lines + bubbles * len(fields)
+    start = np.concatenate(
+        [fields * corners, (len(fields) + fields) * corners, lines + fields * bubbles + np.arange(bubbles)], axis=1
+    ).ravel()
+    rows = rows.copy()
+    rows[:, :, start] += phase * rows[:, :, inner:]
+    rows[:, start] += np.conj(phase) * rows[:, inner:]
+    inside = np.linalg.solve(rows[:, lines:inner, lines:inner], rows[:, lines:inner, :lines])
+    return np.asarray(rows[:, :lines, :lines] - rows[:, :lines, lines:inner] @ inside)
 
 
 def _graded(length: float, layers: int, ends: tuple[bool, bool], longest: float, least: float = 0.0) -> Array:
@@ -452,11 +565,12 @@ def _wall_grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> Gri
     inner, middle = tilted[first:last], 0.5 * (placed[1:] + placed[:-1])
     centers = 0.5 * (middle + np.append(middle[:, 1:], middle[:, :1] + period, axis=1)) / k0
     values = [values_at(layer, x, stack.cell.period_x) for (layer, _), x in zip(inner, centers, strict=True)]
-    index = max([stack.reach, *(float(np.sqrt(np.asarray(v, dtype=complex)).real.max()) for v in values)])
+    index = np.maximum(stack.reach, np.sqrt(np.array(values, dtype=complex)).real.max(axis=0))  # of each region
     width = np.diff(placed, append=placed[:, :1] + period, axis=1)
     least = 0.25 * GRADING**layers * period  # smallest elements at the ends of a graded region, within a factor of 2
     fractions = [
-        _graded(1.0, layers, (True, True), PHASE * degree / (index * w.max()), least / w.max()) for w in width.T
+        _graded(1.0, layers, (True, True), PHASE * degree / (n * w.max()), least / w.max())
+        for n, w in zip(index, width.T, strict=True)
     ]
     line = np.concatenate(
         [placed[:, [c]] + width[:, [c]] * f[:-1] for c, f in enumerate(fractions)] + [placed[:, :1] + period], axis=1
@@ -466,7 +580,7 @@ def _wall_grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> Gri
 
     def put(length: float, epsilon: Array, graded: tuple[bool, bool], upper: Array, lower: Array) -> None:
         root = np.sqrt(epsilon.astype(complex))
-        longest = PHASE * degree / max(float(np.abs(root).max()), index)
+        longest = PHASE * degree / max(float(np.abs(root).max()), stack.reach)
         at = _graded(length, layers, graded, longest, least) / length
         for a, b in zip(at[:-1], at[1:], strict=True):
             rows.append(((b - a) * length, upper + a * (lower - upper), upper + b * (lower - upper), epsilon[region]))

@@ -33,7 +33,7 @@ from nacre.matter.periodic.order_responses import (
     solved_nodes,
 )
 from nacre.matter.periodic.orders import DESCRIPTION, cached_solution, case_key, packed_solutions, unpacked_solutions
-from nacre.matter.periodic.solve import coarse_method, difference, size_count, solve_many
+from nacre.matter.periodic.solve import coarse_method, difference, size_count, solve_coarse, solve_many
 from nacre.matter.periodic.structure import (
     Cell,
     NotConvergedError,
@@ -194,13 +194,10 @@ def _solved_tables(
     zero = every.index((0, 0))
     lattice = stack.cell.wave_vectors(np.array([[1, 0], [0, 1]])) / (2.0 * np.pi)
     # the error of the coarse solutions, at a few directions
-    waves = [wave(*case) for case in cases]
-    # lines are solved faster in one call
-    coarse = (
-        solve_many(waves, step)
-        if method == "lines"
-        else in_workers(lambda each: _solved(each, step, is_fitted), waves, description=DESCRIPTION)
-    )
+    if method == "lines":  # solved faster in one call
+        coarse = solve_many([wave(*case) for case in cases], step)
+    else:
+        coarse = in_workers(lambda case: solve_as_table(*wave(*case), step), cases, description=DESCRIPTION)
     error = max((difference(*pair) for pair in zip(coarse, checked, strict=True)), default=0.0)
     made = OrderTables(
         reflected[:, :, zero].astype(float), transmitted[:, :, zero].astype(float), np.delete(reflected, zero, axis=2),
@@ -210,12 +207,13 @@ def _solved_tables(
     return replace(made, between=_between(made, stacks, wavelengths_nm, step, fits)) if some else made
 
 
-def _solved(wave: tuple[PeriodicStack, float, float, float], step: int, is_fitted: bool) -> OrderSolution:
-    """Return the solution of one wave by the method of the table."""
-    stack, wavelength, theta, phi = wave
-    if is_fitted and stack.profile is not None:
-        return solve_elements(stack, 2.0 * np.pi / wavelength, theta, phi, step)
-    return solve_many([wave], step)[0]
+def solve_as_table(
+    stack: PeriodicStack, wavelength_nm: float, theta_rad: float, phi_rad: float, step: int = 0
+) -> OrderSolution:  # fmt: skip
+    """Return the orders of one direction by the solver and the size of tables."""
+    if stack.profile is not None and has_elements(stack, wavelength_nm):
+        return solve_elements(stack, 2.0 * np.pi / wavelength_nm, theta_rad, phi_rad, step)
+    return solve_coarse(stack, wavelength_nm, theta_rad, phi_rad, step)
 
 
 def _size(stacks: list[PeriodicStack], wavelengths_nm: Array) -> tuple[int, int]:
@@ -278,6 +276,7 @@ def _fits(
     channels = [channels_of(*case) for case in zip(stacks, wavelengths_nm.tolist(), strict=True)]
     tail = TAIL[coarse_method(stacks[0], float(wavelengths_nm[0])) in EXPENSIVE]
     symmetries = _symmetries(stacks[0], images)
+    axis = int(coarse_method(stacks[0], float(wavelengths_nm[0])) in ("profile", "elements"))  # they share k_y
 
     def solved(item: tuple[int, Counts, Array]) -> dict[str, Array]:
         w, counts, numbers = item
@@ -292,15 +291,16 @@ def _fits(
         items: dict[str, tuple[int, Counts, Array]] = {}
         for w, counts in left.items():
             every = solved_nodes(channels[w], counts, symmetries)
-            for i in range(every[-1, 0] + 1):
-                items[f"{step}-{w}-{counts[0]}x{counts[1]}-{i}"] = (w, counts, every[every[:, 0] == i])
+            for i in np.unique(every[:, axis]):
+                items[f"{step}-{w}-{counts[0]}x{counts[1]}-{i}"] = (w, counts, every[every[:, axis] == i])
         # wavelengths of equal wave vectors one after the other, since they share functions
-        items = dict(sorted(items.items(), key=lambda item: (item[1][2][0, 0], item[1][1], item[1][0])))
+        items = dict(sorted(items.items(), key=lambda item: (item[1][2][0, axis], item[1][1], item[1][0])))
         found = parts.solved(solved, items)
         for w, counts in left.items():
-            own = [found[label] for label, item in items.items() if item[0] == w]
-            values = np.concatenate([each["real"] + 1j * each["imag"] for each in own])
-            fits[w] = fitted(channels[w], values, counts, symmetries)
+            own = [(item[2], found[label]) for label, item in items.items() if item[0] == w]
+            values = np.concatenate([each["real"] + 1j * each["imag"] for _, each in own])
+            rank = np.lexsort(np.concatenate([numbers for numbers, _ in own]).T[::-1])  # as `solved_nodes`
+            fits[w] = fitted(channels[w], values[rank], counts, symmetries)
         more = {w: next_counts(fits[w], tail) for w in left}
         left = {w: counts for w, counts in more.items() if counts is not None}
     return fits
@@ -380,7 +380,7 @@ def _between(
 
     def solved(case: tuple[int, int]) -> OrderSolution:
         k, w = case
-        return _solved((stacks[w], float(wavelengths_nm[w]), float(theta[k]), float(phi[k])), step, bool(fits))
+        return solve_as_table(stacks[w], float(wavelengths_nm[w]), float(theta[k]), float(phi[k]), step)
 
     cases = [(k, w) for k in range(solved_count) for w in waves]
     truths: list[tuple[int, int, Row]] = []
