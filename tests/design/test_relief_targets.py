@@ -179,7 +179,7 @@ def test_the_camera_orientation_is_applied(tmp_path: Path) -> None:
         ('kind = "imaeg"\nrange = 0.3', "Did you mean"),
         ('kind = "image"\nrange = 0.3', "target.image is missing"),
         ('kind = "image"\nimage = "none.png"\nrange = 0.3', "does not exist"),
-        ('kind = "image"\nimage = "broken.png"\nrange = 0.3', "cannot be read as an image"),
+        ('kind = "image"\nimage = "broken.png"\nrange = 0.3', "is not a readable image"),
         ('kind = "image"\nimage = "blank.png"\nrange = 0.3', "blank"),
         ('kind = "array"\nfile = "text.npy"\nrange = 0.3', "not a .npy array"),
         ('kind = "uniform"\ncolour = "mauve-ish"\nrange = 0.3', "target.colour"),

@@ -9,13 +9,14 @@ Named recipe numbers, `[numbers] drain = 0.4`, and the time `t` may be used in e
 from __future__ import annotations
 
 import ast
+import contextlib
 import dataclasses
 import functools
 import logging
 import math
 import re
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -548,6 +549,36 @@ NumberOrTexture = Annotated[
 ]
 
 
+@contextlib.contextmanager
+def opened_image(path: Path, where: str, most_pixels: int) -> Iterator[Image]:
+    """Yield the image in a file.
+
+    Args:
+        where: begins each message.
+        most_pixels: larger images are refused.
+
+    Raises:
+        RecipeError: missing, too large, damaged, or another kind of file.
+    """
+    from PIL import Image as images
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # sizes are checked here; broken tags are either read or skipped
+            with images.open(plain(path)) as image:
+                if image.width * image.height > most_pixels:
+                    size = f"{image.width} x {image.height} pixels"
+                    raise RecipeError(f"{where} has {size}; at most {most_pixels} are allowed")
+                yield image
+    except NacreError:
+        raise
+    except Exception as error:  # Pillow raises many types for a broken file, some of them OSError without a number
+        if isinstance(error, OSError) and error.errno:
+            raise RecipeError(f"{where} {why_unreadable(error)}") from None
+        hint = "; export it as PNG" if path.suffix.lower() in (".svg", ".pdf", ".ai", ".eps") else ""
+        raise RecipeError(f"{where} is not a readable image{hint}") from None
+
+
 def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> NDArray[np.float64]:
     """Read an image as grey values in [0, 1], `[row, column]`; 8 and 16 bit, colours by their luma.
 
@@ -560,41 +591,27 @@ def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> N
         RecipeError: missing, not an image, partly transparent, values beyond black and white, larger than
             `MAX_IMAGE_PIXELS` or longer than `longest_side`.
     """
-    from PIL import Image, UnidentifiedImageError
-
-    try:
-        with warnings.catch_warnings():
-            # warnings about large images (the limit below is stricter) and about broken tags
-            warnings.simplefilter("ignore")
-            opened = Image.open(plain(path))
-        with warnings.catch_warnings(), opened as image:
-            warnings.simplefilter("ignore")
-            size = image.width * image.height
-            if size > MAX_IMAGE_PIXELS:
-                raise RecipeError(f"{where}: {path.name} has {size} pixels; at most {MAX_IMAGE_PIXELS} are read")
-            check_memory(BYTES_A_PIXEL * float(size), f"{where}: {path.name} of {image.width} x {image.height} pixels")
-            if max(image.size) > longest_side:
-                raise RecipeError(f"{where}: {path.name} is {image.size} pixels; at most {longest_side} a side")
-            if opacity(image) is not None:
-                raise RecipeError(f"{where}: {path.name} is partly transparent; flatten it first")
-            picture = upright(image)
-            if picture.mode.startswith("I") or picture.mode == "F":
-                values = np.asarray(picture, dtype=float)
-                scale = 1.0 if picture.mode == "F" else LARGEST_16_BIT
-            else:
-                values, scale = np.asarray(picture.convert("L"), dtype=float), 255.0
-    except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError):
-        raise RecipeError(f'{where} = "{path.name}" is not a readable image') from None
-    except OSError as error:
-        # Pillow's own errors about broken files lack an errno
-        reason = why_unreadable(error) if error.errno else "is not a readable image"
-        raise RecipeError(f'{where} = "{path.name}" {reason}') from None
+    named = f'{where} = "{path.name}"'
+    with opened_image(path, named, MAX_IMAGE_PIXELS) as image:
+        check_memory(
+            BYTES_A_PIXEL * float(image.width * image.height), f"{named} of {image.width} x {image.height} pixels"
+        )
+        if max(image.size) > longest_side:
+            raise RecipeError(f"{named} is {image.size} pixels; at most {longest_side} a side")
+        if opacity(image) is not None:
+            raise RecipeError(f"{named} is partly transparent; flatten it first")
+        picture = upright(image)
+        if picture.mode.startswith("I") or picture.mode == "F":
+            values = np.asarray(picture, dtype=float)
+            scale = 1.0 if picture.mode == "F" else LARGEST_16_BIT
+        else:
+            values, scale = np.asarray(picture.convert("L"), dtype=float), 255.0
     values = values / scale
     low, high = float(values.min()), float(values.max())
     if not (low >= -ROUNDING and high <= 1.0 + ROUNDING):  # NaN too
         most = f"{LARGEST_16_BIT:.0f}" if scale == LARGEST_16_BIT else "1"
         raise RecipeError(
-            f'{where} = "{path.name}" holds {low * scale:g} to {high * scale:g}; black is 0 and white {most} in an '
+            f"{named} holds {low * scale:g} to {high * scale:g}; black is 0 and white {most} in an "
             "image of this type: scale its values, and give the values of black and white by min and max"
         )
     return np.clip(values, 0.0, 1.0)

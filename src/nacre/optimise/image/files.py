@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 import json
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nacre import light
-from nacre.bsdf.texture import LARGEST_16_BIT, opacity, upright
+from nacre.bsdf.texture import LARGEST_16_BIT, opacity, opened_image, upright
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError, UnsupportedError
-from nacre.core.files import atomic_path, plain, why_unreadable, write_text
+from nacre.core.files import atomic_path, write_text
 from nacre.core.machine import check_memory
 from nacre.families.contract import Pixels
 from nacre.formats.layouts import LARGEST_GREY, write_pixel_field
@@ -48,29 +47,12 @@ def read_picture(path: Path, where: str) -> Array:
     Raises:
         RecipeError: it cannot be read, or is not an opaque still image in sRGB or grey.
     """
-    from PIL import Image, UnidentifiedImageError
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # sizes are checked here; broken tags are skipped
-            with Image.open(plain(path)) as opened:
-                _check_size(opened, where)
-                return _pixels(opened, where)
-    except FileNotFoundError:
-        raise RecipeError(f"{where} does not exist") from None
-    except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError, EOFError):
-        raise RecipeError(f"{where} is not a readable image") from None
-    except OSError as error:
-        raise RecipeError(f"{where} {why_unreadable(error) if error.errno else 'is not a readable image'}") from None
-
-
-def _check_size(opened: Image, where: str) -> None:
-    width, height = opened.size
-    if width * height > MAX_PIXELS:
-        raise RecipeError(f"{where} has {width} x {height} pixels; at most {MAX_PIXELS} are designed")
-    if min(width, height) < MIN_SIDE:
-        raise RecipeError(f"{where} has {width} x {height} pixels; it should have at least {MIN_SIDE} per side")
-    check_memory(float(BYTES_PER_PIXEL) * width * height, f"{where}: a picture of {width} x {height} pixels")
+    with opened_image(path, where, MAX_PIXELS) as opened:
+        width, height = opened.size
+        if min(width, height) < MIN_SIDE:
+            raise RecipeError(f"{where} has {width} x {height} pixels; it should have at least {MIN_SIDE} per side")
+        check_memory(float(BYTES_PER_PIXEL) * width * height, f"{where}: a picture of {width} x {height} pixels")
+        return _pixels(opened, where)
 
 
 def _pixels(opened: Image, where: str) -> Array:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from tokenize import TokenError
@@ -17,10 +16,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import pydantic
 
-from nacre.bsdf.texture import LARGEST_16_BIT, opacity, upright
+from nacre.bsdf.texture import LARGEST_16_BIT, MAX_IMAGE_PIXELS, opacity, opened_image, upright
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
-from nacre.core.files import plain, reading, why_unreadable
+from nacre.core.files import plain, why_unreadable
 from nacre.families.relief.diffraction_orders import CoherenceSpec, coating_reflectance, fresnel_reflectance
 from nacre.families.relief.plane_cut import CutGeometry
 from nacre.formats.layouts import find_calibration
@@ -419,7 +418,6 @@ COLOUR_ALIASES = {"iri": "iridescent-half", "disk_iri": "iridescent-disk", "inv_
 RED, BLUE = np.array(PUBLISHED_COLOURS["red"]), np.array(PUBLISHED_COLOURS["blue"])
 IMAGE_PIXELS = 512  # resampled image side, as published
 HALF_VECTOR_PER_SCALE = 0.0625  # picture half width, in half-vector units, at image_scale 1
-MAX_IMAGE_PIXELS = 64_000_000
 
 
 def slice_axis(half_range: float, resolution: int) -> Array:
@@ -477,27 +475,14 @@ def load_picture(path: Path, where: str, is_stretched: bool = False) -> Array:
     from PIL import Image, ImageOps
 
     named = f'{where} = "{path}"'
-    with reading(named, RecipeError):
-        plain(path)
-    try:
-        with warnings.catch_warnings(), Image.open(path) as image:
-            warnings.simplefilter("ignore")  # broken tags are either read or skipped
-            if image.width * image.height > MAX_IMAGE_PIXELS:
-                raise RecipeError(
-                    f"{named} has {image.width} x {image.height} pixels; at most {MAX_IMAGE_PIXELS} are allowed"
-                )
-            flat = _on_black(upright(image))
-            if np.ptp(np.asarray(flat)) == 0:
-                hint = "; transparent areas are black: draw the bright parts" if opacity(image) is not None else ""
-                raise RecipeError(f"{named} is blank; all pixels are equal{hint}")
-            size = (IMAGE_PIXELS, IMAGE_PIXELS)
-            bilinear = Image.Resampling.BILINEAR
-            square = flat.resize(size, bilinear) if is_stretched else ImageOps.pad(flat, size, bilinear)
-    except RecipeError:
-        raise
-    except Exception as error:  # Pillow raises many types for a broken file
-        hint = "; export it as PNG" if path.suffix.lower() in (".svg", ".pdf", ".ai", ".eps") else ""
-        raise RecipeError(f"{named} cannot be read as an image{hint}: {error}") from None
+    with opened_image(path, named, MAX_IMAGE_PIXELS) as image:
+        flat = _on_black(upright(image))
+        if np.ptp(np.asarray(flat)) == 0:
+            hint = "; transparent areas are black: draw the bright parts" if opacity(image) is not None else ""
+            raise RecipeError(f"{named} is blank; all pixels are equal{hint}")
+        size = (IMAGE_PIXELS, IMAGE_PIXELS)
+        bilinear = Image.Resampling.BILINEAR
+        square = flat.resize(size, bilinear) if is_stretched else ImageOps.pad(flat, size, bilinear)
     values = np.asarray(square, dtype=float) / (1.0 if square.mode == "F" else 255.0)
     return np.repeat(values[..., None], 3, axis=-1) if values.ndim == 2 else values
 
