@@ -322,7 +322,9 @@ def _read_options(options: Mapping[str, Any]) -> ReadOptions:
     allowed = [entry.name for entry in fields(ReadOptions)]
     for name in options:
         if name not in allowed:
-            raise NacreError(f"{name} is no option of read.{did_you_mean(name, allowed)} Allowed: {', '.join(allowed)}")
+            raise NacreError(
+                f"{name} is not an option of read.{did_you_mean(name, allowed)} Allowed: {', '.join(allowed)}"
+            )
     given = dict(options)
     for name in ("columns", "ignore"):
         if isinstance(given.get(name), str):
@@ -376,7 +378,7 @@ def fabricate(
         place, model = source.context.source, source.model
         name = short_name(place) if Path(place).name == DESIGN_RECIPE else Path(place).name
     if not isinstance(model, Model):
-        raise UnsupportedError(f"{model!r:.60} is no material, no path or name of one and no table of a recipe")
+        raise UnsupportedError(f"{model!r:.60} is not a material, no path or name of one and no table of a recipe")
     drawers = fabrications(model)
     if to not in drawers:
         maps = number_maps(source) if isinstance(source, Material) else []

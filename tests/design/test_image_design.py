@@ -331,5 +331,5 @@ def test_greys_of_16_bits_are_read_as_they_are(tmp_path: Path) -> None:
 @pytest.mark.parametrize("heading", ["thickness_kg", "dose (s)", "roughness"])
 def test_a_process_curve_of_no_length_is_refused_for_a_thickness(designed: Path, tmp_path: Path, heading: str) -> None:
     (tmp_path / "volts.csv").write_text(f"volts,{heading}\n0,0\n200,2000\n")
-    with pytest.raises(NacreError, match="is no length"):
+    with pytest.raises(NacreError, match="is not a length"):
         nacre.fabricate(designed / "out", "csv", tmp_path / "v.csv", calibration=tmp_path / "volts.csv")

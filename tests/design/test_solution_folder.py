@@ -75,7 +75,7 @@ def test_an_unwritable_folder_is_refused_before_the_search(
         nacre.design(TARGET, "/proc/out")
     (tmp_path / "t.toml").write_text(dump_toml(TARGET))
     assert command(["design", str(tmp_path / "t.toml"), "-o", str(tmp_path / "note.txt" / "out")]) == 2
-    assert "note.txt is no folder" in capsys.readouterr().err
+    assert "note.txt is not a folder" in capsys.readouterr().err
     full = type(shutil.disk_usage(tmp_path))(10**9, 10**9 - 1000, 1000)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: full)
     assert command(["design", str(tmp_path / "t.toml"), "-o", str(tmp_path / "out")]) == 2

@@ -122,7 +122,7 @@ REFUSED = {
     "no width": ({"points": "sem.png"}, "not how wide it is; give width_um"),
     "a list with a width": ({"points": "xy.csv", "width_um": 5}, "gives width_um, which is of a picture"),
     "missing": ({"points": "none.png", "width_um": 5}, "none.png"),
-    "no picture": ({"points": "text.png", "width_um": 5}, "is no picture that can be read"),
+    "no picture": ({"points": "text.png", "width_um": 5}, "is not a picture that can be read"),
     "empty": ({"points": "grey.png", "width_um": 5}, "is of one grey level"),
     "noise": ({"points": "noise.png", "width_um": 5}, "has no two levels"),
     "few": ({"points": "sem.png", "width_um": 2}, "which is what is taken; at least 50 are needed"),

@@ -341,7 +341,7 @@ def test_a_unit_that_the_format_does_not_have_is_refused_with_what_it_has(tmp_pa
         file[name] = 2.0
         file[name].attrs["unit"] = unit
     line = _refusal(tmp_path, capsys, 'tmatrix = "a.tmat.h5"')
-    assert f'gives {name} in "{unit}", which is no unit of' in line and line.endswith(f"it should be {allowed}")
+    assert f'gives {name} in "{unit}", which is not a unit of' in line and line.endswith(f"it should be {allowed}")
 
 
 def test_modes_may_stand_in_any_order_and_scattered_apart_from_incident(tmp_path):

@@ -97,7 +97,7 @@ def test_a_scene_file_finds_recipes_beside_itself(mi: Any, tmp_path: Path, monke
         ({"recipe": "bad.toml"}, 'substrate = "aar" is not known. Did you mean "air"?'),
         ({"bsdf": "nobody"}, 'bsdf = "nobody"'),
         ({"recipe": "good.toml", "colour": 3.0}, "unreferenced property"),
-        ({"recipe": "good.toml", "two_sided": "false"}, "two_sided = 'false' of a \"nacre\" BSDF is no boolean"),
+        ({"recipe": "good.toml", "two_sided": "false"}, "two_sided = 'false' of a \"nacre\" BSDF is not a boolean"),
     ],
 )
 def test_errors_in_a_scene_state_the_reason(

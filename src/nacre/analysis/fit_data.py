@@ -174,7 +174,7 @@ class ColourData:
         """Return the data with its geometries.
 
         Raises:
-            RecipeError: a label is no geometry and no recipe name.
+            RecipeError: a label is not a geometry and no recipe name.
         """
         named = recipe_geometries(material)
         where = f"{self.name or 'colour'}: geometry"
@@ -428,7 +428,7 @@ def texture_measurement(path: Path, instrument: Any = None) -> TextureData | Non
     for number, row in cells:
         where = f"{path}: line {number}"
         if not _TEXTURE.fullmatch(row[0]):
-            raise RecipeError(f"{where}: {show_value(row[0])} is no texture quantity; put colours into another file")
+            raise RecipeError(f"{where}: {show_value(row[0])} is not a texture quantity; put colours into another file")
         if row[0] in found:
             raise RecipeError(f"{where}: {row[0]} stands twice")
         try:

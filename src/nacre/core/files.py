@@ -250,7 +250,7 @@ def check_writable(path: str | Path) -> Path:
     path = named(path)
     folder = path.parent if str(path.parent) else Path()
     if not folder.is_dir():
-        wrong = "is no folder" if os.path.lexists(folder) else "does not exist"
+        wrong = "is not a folder" if os.path.lexists(folder) else "does not exist"
         raise NacreError(f"{path}: the folder {folder} {wrong}")
     if path.is_dir():
         raise NacreError(f"{path}: is a folder; give a file name")

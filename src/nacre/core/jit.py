@@ -105,7 +105,7 @@ def may_be_stored(folder: Path, name: str) -> bool:
 
 
 def is_spared(work: float) -> bool:
-    """Take `work` from what `spare_compilation` granted; once a piece exceeds the rest all later ones use kernels."""
+    """Subtract `work` from the budget of `spare_compilation`; once it exceeds the rest, all later work uses kernels."""
     global _spared_work
     with _lock:
         fits = work <= _spared_work

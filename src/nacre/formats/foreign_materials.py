@@ -465,7 +465,7 @@ def _channel(file: Path | io.BytesIO, channel: int) -> Array | None:
 
     Raises:
         ValueError: the file is damaged.
-        OSError: the file cannot be read, or is no image.
+        OSError: the file cannot be read, or is not an image.
     """
     from PIL import Image
 

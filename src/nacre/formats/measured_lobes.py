@@ -67,7 +67,7 @@ def measured_table(data: GonioData, name: str, law: str | None = None) -> tuple[
     Raises:
         NacreError: fewer than four pairs lie above the surface, or impossible values.
         UnsupportedError: the pairs lie in the plane of incidence or have one incidence and no law is given, or those
-            of an anisotropic sample form no grid.
+            of an anisotropic sample do not form a grid.
     """
     theta_i, phi_i, theta_o, phi_o = data.angles_deg.T
     up = (theta_i < 90) & (theta_o < 90)

@@ -80,7 +80,7 @@ class ProcessCurve:
         """
         given = re.split(r"[_(\[\s]+", self.words[1].rstrip(")] ").lower())[-1]
         if wanted.unit == "nm" and given in NO_LENGTHS:
-            raise NacreError(f'{self.name}: "{self.words[1]}" is no length; {wanted.path} is one, in nm, um or mm')
+            raise NacreError(f'{self.name}: "{self.words[1]}" is not a length; {wanted.path} is one, in nm, um or mm')
         low, high = float(self.values.min()), float(self.values.max())
         slack = SAME_LEVEL * (wanted.high - wanted.low)
         least, most = float(wanted.values.min()), float(wanted.values.max())

@@ -267,7 +267,7 @@ class Material:
         raise UnsupportedError(f"{self.context.source}: {what} is not known for a {noun}")
 
     def _warn_of_excess(self, spectrum: Spectrum) -> None:
-        """Log a warning if a model or data that permit it give more light than arrives."""
+        """Log a warning if the model or data scatter more light than they receive."""
         because = self.model.excess_reason if isinstance(self.model, ExcessEnergy) else ""
         parts = list(spectrum.parts().values())
         if not because or not parts:
@@ -583,7 +583,7 @@ def as_material(thing: MaterialLike) -> Material:
     """
     found = loaded(thing)
     if not callable(getattr(found, "bsdf", None)):
-        raise UnsupportedError(f"{thing!r:.60} is no material, no path or name of one and no table of a recipe")
+        raise UnsupportedError(f"{thing!r:.60} is not a material, no path or name of one and no table of a recipe")
     return cast(Material, found)
 
 

@@ -295,7 +295,7 @@ def _groups(table: TextTable) -> tuple[int | None, list[_Group]]:
         more = "; Hunter Lab is not read" if any("hunter" in q for group in found.values() for q in group) else ""
         raise RecipeError(f"{where}: heading {shown} does not name L, a, b (or L, C, h; X, Y, Z; hex){more}")
     if unknown:
-        raise RecipeError(f"{where}: {show_value(', '.join(unknown))} is no known column; delete it or name it")
+        raise RecipeError(f"{where}: {show_value(', '.join(unknown))} is not a known column; delete it or name it")
     if unused:
         logger.warning("%s: not used: %s", table.path, ", ".join(unused))
     return name, groups

@@ -193,7 +193,7 @@ class LimitsSpec(RecipeModel):
     )
     dither: bool = Field(
         default=True,
-        description="of a picture with height_levels: false gives each pixel the level of the nearest colour",
+        description="for a picture with height_levels: false gives each pixel the level of the nearest colour",
         examples=[False],
     )
     dot_um: Annotated[float, Field(ge=1.0, le=1000.0)] = Field(

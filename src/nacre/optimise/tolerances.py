@@ -161,7 +161,7 @@ def _correlated(read: list[Tolerance], material: Material, source: str) -> list[
     The modes are the matrix's eigenvectors: x_i = sigma_i sum_j V_ij sqrt(e_j) z_j has the correlation V e V^T.
 
     Raises:
-        RecipeError: a path has no single gaussian tolerance, or the matrix is no correlation matrix.
+        RecipeError: a path has no single gaussian tolerance, or the matrix is not a correlation matrix.
     """
     entries = material.data.get("correlation", ())
     if not isinstance(entries, list | tuple):

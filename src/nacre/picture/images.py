@@ -6,7 +6,7 @@ number fixes the stops; 0 shows the scene as lit, and pictures with one number a
 
 White balance: the light's white becomes the picture's white (Bradford). By default there is no tone curve:
 colours brighter than white become white, colours outside sRGB are clipped at constant hue and lightness, and counted.
-The tone "filmic" compresses highlights like film; such colours are no measurement.
+The tone "filmic" compresses highlights like film; such colours are not measurement.
 
 Files: PNG, JPEG and WebP with provenance; EXR with linear light and layers.
 """

@@ -92,7 +92,7 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
     except FileNotFoundError as error:
         raise NacreError(f'shape {path}: names "{error.args[-1]}", which is not beside it') from None
     except IndexError:
-        raise NacreError(f"shape {path}: a face names a corner that is no vertex of the file") from None
+        raise NacreError(f"shape {path}: a face names a corner that is not a vertex of the file") from None
     except Exception:  # each parser raises its own types
         raise NacreError(
             f"shape {path}: cannot be read as a mesh; it is damaged, or of another kind than its ending says "
@@ -418,7 +418,7 @@ def _triangles(part: Any, transform: NDArray[np.float64], uv_white: float) -> Tr
     vertices = np.asarray(part.vertices, dtype=np.float64) @ transform[:3, :3].T + transform[:3, 3]
     faces = np.asarray(part.faces, dtype=np.int64)
     if faces.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices):
-        raise IndexError("a face has a corner that is no vertex")
+        raise IndexError("a face has a corner that is not a vertex")
     if np.linalg.det(transform[:3, :3]) < 0:
         faces = faces[:, ::-1]
     material = str(getattr(getattr(part.visual, "material", None), "name", None) or "")

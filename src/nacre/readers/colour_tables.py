@@ -527,7 +527,7 @@ def read_colour_table(path: Path, options: ReadOptions) -> list[Measurement]:
     start = _start(lines)
     fields = None if start is None else _fields(_table_cells(lines[start]))
     if start is None or fields is None:
-        raise NacreError(f"{path}: its headings are no colours")
+        raise NacreError(f"{path}: its headings are not colours")
     rows = [_table_cells(line) for line in lines[start + 1 :]]
     for row in rows:
         if len(row) != len(fields):

@@ -183,7 +183,7 @@ def _in_nm(columns: Columns, column: Column, options: ReadOptions) -> Floats:
             said = f"{what} of {ends} has no unit"
             if not readings:
                 raise AmbiguousFileError(
-                    f'{columns.path}: {said} and is no usual wavelength; state unit = "nm", "um" or "eV"', "unit"
+                    f'{columns.path}: {said} and is not a usual wavelength; state unit = "nm", "um" or "eV"', "unit"
                 )
             raise AmbiguousFileError(
                 f"{columns.path}: {said}: it may be {in_range(finite, readings)}; write the unit in its heading or "
@@ -200,7 +200,7 @@ def _in_nm(columns: Columns, column: Column, options: ReadOptions) -> Floats:
         nm = np.sort(to_nm(np.array([float(finite.min()), float(finite.max())]), unit))
         raise AmbiguousFileError(
             f'{columns.path}: "{column.heading}" holds {float(finite.min()):.6g} to {float(finite.max()):.6g} {unit} '
-            f"({nm[0]:.4g} to {nm[1]:.4g} nm), which are no wavelengths of this optics; the unit is probably {likely}; "
+            f"({nm[0]:.4g} to {nm[1]:.4g} nm), which are not wavelengths of this optics; the unit is probably {likely}; "
             f"correct the heading or state unit",
             "unit",
             (likely, unit) if likely in UNITS else (unit,),
@@ -360,7 +360,9 @@ def _ignored(table: TextTable, headings: list[str], options: ReadOptions) -> tup
     plain = [normal(heading).strip('" ').lower() for heading in headings]
     missing = [word for word in options.ignore if normal(word).strip('" ').lower() not in plain]
     if missing:
-        raise NacreError(f'{table.path}: ignore: "{missing[0]}" is no column; the columns are {table.shown_headings}')
+        raise NacreError(
+            f'{table.path}: ignore: "{missing[0]}" is not a column; the columns are {table.shown_headings}'
+        )
     return [h for h, p in zip(headings, plain) if p in wanted], [p in wanted for p in plain]
 
 
@@ -377,7 +379,7 @@ def _unknown_error(table: TextTable, unknown: list[str], is_all: bool) -> NacreE
             "columns = [...] names them",
             "columns",
         )
-    rule = "is no known column" if len(unknown) == 1 else "are no known columns"
+    rule = "is not a known column" if len(unknown) == 1 else "are not known columns"
     return AmbiguousFileError(
         f"{table.path}: {quoted} {rule}; the columns are {table.shown_headings}; ignore = [{quoted}] leaves "
         f"{'it' if len(unknown) == 1 else 'them'} out, columns = [...] names all",

@@ -298,7 +298,7 @@ def read_sopra(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read n and k over the wavelength in nm.
 
     Raises:
-        NacreError: a row is damaged, the row count is not POINTS, or the numbers are no wavelengths, n and k.
+        NacreError: a row is damaged, the row count is not POINTS, or the numbers are not wavelengths, n and k.
     """
     rows: list[list[float]] = []
     points = ""
@@ -310,14 +310,14 @@ def read_sopra(path: Path, options: ReadOptions) -> list[Measurement]:
             try:
                 rows.append([float(cell) for cell in cells[2:5]])
             except ValueError:
-                raise NacreError(f"{path}: line {count} is no row of a wavelength, n and k") from None
+                raise NacreError(f"{path}: line {count} is not a row of a wavelength, n and k") from None
     if points.isdigit() and int(points) != len(rows):
         raise NacreError(f"{path}: POINTS = {points}, but the file has {len(rows)} rows")
     if not rows or any(len(row) != 3 for row in rows):
         raise NacreError(f"{path}: the rows of DATA1 should hold wavelength, n and k")
     table = np.array(rows)
     if table[:, 0].min() < 1.0:
-        raise NacreError(f"{path}: an abscissa of {table[:, 0].min():g} is no wavelength in nm")
+        raise NacreError(f"{path}: an abscissa of {table[:, 0].min():g} is not a wavelength in nm")
     assumed = ["the wavelengths are in nm, as in the database of SOPRA"]
     return [sampled(path, table[:, 0], table[:, 1], table[:, 2], assumed)]
 
@@ -381,7 +381,7 @@ def _columns(path: Path) -> tuple[Floats, Floats]:
 # WVASE: `Units=eV,E1E2` states the columns. Short form: a name, the unit, and `NK` or `E1E2`, then the rows.
 
 PROGRAM_QUANTITIES = {"NK": ("n", "k"), "E1E2": ("eps1", "eps2"), "N": ("n",)}
-# layers whose parameters are no table of n and k
+# layers whose parameters are not table of n and k
 LAYERS = frozenset(
     "GENOSC EMA CAUCHY SELLMEIER LORENTZ BSPLINE B-SPLINE TAUC-LORENTZ CODY-LORENTZ GRADED BIAXIAL UNIAXIAL ALLOY "
     "SUPERLATTICE INTERMIX PARAMETRIC".split()
@@ -431,7 +431,7 @@ def read_woollam_mat(path: Path, options: ReadOptions) -> list[Measurement]:
             )
         short = _short(lines)
         if short is None:
-            raise NacreError(f"{path}: is no material file: units and columns are not stated")
+            raise NacreError(f"{path}: is not a material file: units and columns are not stated")
         (unit, quantities), name, body = short, lines[0].strip(), "\n".join(lines[3:])
     if unit is None or quantities not in PROGRAM_QUANTITIES:
         said = f"{stated[1]},{stated[2]}" if stated else quantities

@@ -99,7 +99,7 @@ def _converted(columns: Columns, axis: Axis, stated: str | None) -> Floats:
     if unit is None or UNITS[unit][0] != UNITS[axis.unit][0]:
         allowed = [name for name, (kind, _) in UNITS.items() if kind == UNITS[axis.unit][0]]
         name = axis.label.partition(" (")[0]
-        raise NacreError(f'{columns.path}: unit = "{stated}" is no unit of {name}; allowed: {", ".join(allowed)}')
+        raise NacreError(f'{columns.path}: unit = "{stated}" is not a unit of {name}; allowed: {", ".join(allowed)}')
     return in_unit(columns, replace(column, meaning=replace(column.meaning, unit=unit)), axis.unit)
 
 
@@ -244,7 +244,7 @@ class FileSpec(RecipeModel):
         if isinstance(data, str) and cls.shorthands:
             return {"file": data}
         if not isinstance(data, Mapping | FileSpec):
-            raise ValueError(f'= {show_value(data)} is no file; write "data.csv" or {{file = "data.csv", ...}}')
+            raise ValueError(f'= {show_value(data)} is not a file; write "data.csv" or {{file = "data.csv", ...}}')
         return data
 
     @property

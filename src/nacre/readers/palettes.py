@@ -66,7 +66,7 @@ def read_palette(path: Path, options: ReadOptions) -> list[Measurement]:
         matches = [_HEX.fullmatch(line) if len(line) <= LONGEST else None for line in lines]
         if not all(matches):
             bad = next(line for line, match in zip(lines, matches, strict=True) if not match)
-            raise NacreError(f'{path}: "{bad.strip()[:40]}" is no hexadecimal colour')
+            raise NacreError(f'{path}: "{bad.strip()[:40]}" is not a hexadecimal colour')
         # Paint.NET writes AARRGGBB
         found = [
             (hex_to_srgb(match["hex"][-6:]), (match["name"] or match["after"] or "").strip())
@@ -101,7 +101,7 @@ def _rows(path: Path, lines: list[str]) -> tuple[list[tuple[list[float], str]], 
         match = _ROW.match(_ALPHA.sub(r"\1 ", line) if has_alpha else line)
         if match is None or any(int(match[place]) > 255 for place in (1, 2, 3)):
             raise NacreError(
-                f'{path}: line {number + 1}: "{text[:40]}" is no colour: red, green, blue (0 to 255), name'
+                f'{path}: line {number + 1}: "{text[:40]}" is not a colour: red, green, blue (0 to 255), name'
             )
         found.append(([int(match[place]) / 255.0 for place in (1, 2, 3)], match[4] or ""))
     if stated is not None and stated != len(found):
@@ -112,7 +112,7 @@ def _rows(path: Path, lines: list[str]) -> tuple[list[tuple[list[float], str]], 
 def _hex_entry(path: Path, attributes: dict[str, str]) -> tuple[list[float], str]:
     value = attributes.get("color", "").lstrip("#")
     if not re.fullmatch("[0-9A-Fa-f]{6}", value):
-        raise NacreError(f'{path}: draw:color = "{value}" is no hexadecimal colour')
+        raise NacreError(f'{path}: draw:color = "{value}" is not a hexadecimal colour')
     return hex_to_srgb(value), unescape(attributes.get("name", ""))
 
 

@@ -207,7 +207,7 @@ def _is_cut(path: Path) -> bool:
     return bool(has_digit) and is_text and not line.endswith((b">", b"}", b"]"))
 
 
-# first bytes -> what the file is
+# first bytes -> file type
 _MAGIC: tuple[tuple[bytes, str], ...] = (
     (b"PK\x03\x04", "a zip archive"),
     (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "an OLE file, as Excel 97 and older programs of instruments write"),

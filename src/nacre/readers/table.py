@@ -446,7 +446,7 @@ def srgb_of_hex(path: Path, cell: str) -> list[float]:
     try:
         return hex_to_srgb(cell)
     except ValueError:
-        raise NacreError(f'{path}: "{cell[:20]}" is no colour such as #4a90d0') from None
+        raise NacreError(f'{path}: "{cell[:20]}" is not a colour such as #4a90d0') from None
 
 
 ORDERS = "diffraction orders"
@@ -500,7 +500,7 @@ def read_nacre_table(path: Path, options: ReadOptions) -> list[Measurement]:
     if name == MAP_NAME:
         numbers = [_numbers([row[i] for _, row in rows]) for i in range(count)]
         if any(column is None for column in numbers):
-            raise NacreError(f"{path}: holds cells that are no numbers")
+            raise NacreError(f"{path}: holds cells that are not numbers")
         what = lines[first].removeprefix("# ").rstrip().removesuffix(MAP)
         return [Measurement(path, "table", {"value": np.stack(numbers, axis=1)}, what)]  # type: ignore[arg-type]
     data: dict[str, NDArray[Any]] = {}

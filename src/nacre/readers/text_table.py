@@ -324,7 +324,7 @@ def parse_tables(text: str, path: Path, knows: Callable[[str, str], bool]) -> Ta
 
 
 def _no_row(line: _Line) -> str:
-    return f"line {line.number}: {line.text.strip()[:40]} is no row of a table"
+    return f"line {line.number}: {line.text.strip()[:40]} is not a row of a table"
 
 
 def _without_stray_numbers(

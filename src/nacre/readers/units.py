@@ -86,7 +86,7 @@ def to_nm(values: ArrayLike, unit: str) -> Floats:
             return LIGHT_NM_S / scaled
         if kind == "angular_frequency":
             return 2.0 * np.pi * LIGHT_NM_S / scaled
-    raise NacreError(f'"{unit}" is no unit of a wavelength, energy, wavenumber or frequency')
+    raise NacreError(f'"{unit}" is not a unit of a wavelength, energy, wavenumber or frequency')
 
 
 @dataclass(frozen=True)

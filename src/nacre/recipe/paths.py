@@ -38,7 +38,7 @@ def expand_path(data: Any, path: str, source: str) -> tuple[str, ...]:
     """Expand a path with `[*]` to the paths of all list entries; a path without it is returned unchanged.
 
     Raises:
-        RecipeError: `[*]` follows an empty list, or a value that is no list.
+        RecipeError: `[*]` follows an empty list, or a value that is not a list.
 
     Example:
         >>> expand_path({"layers": [{"thickness_nm": 1}, {"thickness_nm": 2}]}, "layers[*].thickness_nm", "film.toml")
@@ -50,7 +50,7 @@ def expand_path(data: Any, path: str, source: str) -> tuple[str, ...]:
     holder, last = find_by_path(data, head, source)
     entries = holder.get(last) if isinstance(holder, Mapping) else holder[last]
     if not isinstance(entries, list) or not entries:
-        raise RecipeError(f'{source}: "{path}" names no entry; {head} is no list, or an empty one')
+        raise RecipeError(f'{source}: "{path}" names no entry; {head} is not a list, or an empty one')
     inner = (expand_path(data, f"{head}[{i}]{tail}", source) for i in range(len(entries)))
     return tuple(found for paths in inner for found in paths)
 

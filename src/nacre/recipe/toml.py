@@ -193,7 +193,7 @@ def _open(data: dict[str, Any], words: list[str], folder: Path, depth: int) -> N
         return
     file = real(folder / name)
     if file.suffix != ".toml":
-        raise RecipeError(f'{name}: is no recipe with parameters; "{".".join(words)}" does not exist')
+        raise RecipeError(f'{name}: is not a recipe with parameters; "{".".join(words)}" does not exist')
     inner = _moved(parse_toml(read_text(file, "recipe"), str(file)), file.parent)
     data[key] = inner
     _open(inner, rest, folder, depth - 1)

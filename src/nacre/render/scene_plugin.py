@@ -108,7 +108,7 @@ def _switch(properties: Any, key: str, default: bool) -> bool:
     """Read an optional boolean; the text "false" would count as true."""
     value = properties.get(key, default)
     if not isinstance(value, bool):
-        raise RecipeError(f'scene: {key} = {value!r} of a "nacre" BSDF is no boolean; write true or false')
+        raise RecipeError(f'scene: {key} = {value!r} of a "nacre" BSDF is not a boolean; write true or false')
     return value
 
 

@@ -154,7 +154,7 @@ def solved_table(
     if not axis:
         return make_table(material, progress=progress), ""
     if axis not in by_path:
-        raise RecipeError(f"{material.context.source}: {axis} is no free number; allowed: {', '.join(by_path)}")
+        raise RecipeError(f"{material.context.source}: {axis} is not a free number; allowed: {', '.join(by_path)}")
     low, high = by_path[axis]["low"], by_path[axis]["high"]
     varying = {"formula": f"{low!r} + {high - low!r}*u", "min": low, "max": high}
     try:

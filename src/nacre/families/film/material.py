@@ -152,7 +152,7 @@ class Film(Polarised):
 
     @property
     def depends_on_azimuth(self) -> bool:
-        """Whether a medium looks different from different azimuths."""
+        """Whether the optics of a medium depend on the azimuth."""
         media = [self.substrate, *(layer.material for layer in self.layers)]
         return any(isinstance(medium, AnisotropicConstant) and not medium.is_axial for medium in media)
 

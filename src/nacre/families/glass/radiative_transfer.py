@@ -236,7 +236,7 @@ class Slab:
     def between(self, cos: Array) -> Array:
         """Return matrices `[mode, cos, open]` that interpolate `modes` to other outer cosines.
 
-        Odd modes have a factor of the sine, which is no polynomial of the cosine near the normal.
+        Odd modes have a factor of the sine, which is not a polynomial of the cosine near the normal.
         """
         nodes = self.directions.outer
         even = interpolation(nodes, cos)

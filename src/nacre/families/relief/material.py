@@ -198,7 +198,7 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
             UnsupportedError: a scan has none.
         """
         if isinstance(self.tile, Scan):
-            raise UnsupportedError("a scan is no period; this needs heights with periodic = true")
+            raise UnsupportedError("a scan is not a period; this needs heights with periodic = true")
         return self.tile
 
     @property

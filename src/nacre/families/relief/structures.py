@@ -64,7 +64,7 @@ class Lines:
 
     @property
     def effective_blur_nm(self) -> float:
-        """The blur, at least so large that the samples of a curve are no steps."""
+        """The blur, at least so large that the samples of a curve are not steps."""
         highest = max((abs(step) for _, step in self.jumps), default=0.0)
         is_curve = self.feature_nm <= FINE_NM and highest <= FINE_STEP * float(np.ptp(self.heights_nm))
         return max(self.blur_nm, FINE_BLUR * self.feature_nm) if is_curve else self.blur_nm

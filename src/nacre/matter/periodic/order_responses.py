@@ -4,7 +4,7 @@ Where an order begins to propagate, efficiencies change as a square root, and su
 Both come from the waves outside. The response Z of the structure between media of constant admittance Y_0 has neither:
 it maps sources of (H_y, -H_x) in some orders (channels) at both faces to the (E_x, E_y) of these orders there, and is a
 smooth function of the transverse wave vector. With the admittances Y of the true media, e = (1 + Z (Y - Y_0))^-1 Z s,
-exactly. Orders that nowhere come near propagation are no channels: Z contains their true media. A tensor product of
+exactly. Orders that nowhere come near propagation are not channels: Z contains their true media. A tensor product of
 Chebyshev polynomials over one cell of the reciprocal lattice thus gives every direction of light.
 """
 

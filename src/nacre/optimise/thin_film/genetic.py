@@ -24,7 +24,7 @@ from nacre.optimise.thin_film.merit_kernel import failure_share, lab_of
 
 FIRST_STEPS, FULL_STEPS, WORST_STEPS = 5, 14, 14  # steps in the three descents of an individual
 WORST_POWER = 8.0  # exponent of the last descent, which lowers the worst term
-MAX_RATIO, MAX_FULL_RATIO = 1.6, 1.12  # score over the population's worst, after the first and second descent
+MAX_RATIO, MAX_FULL_RATIO = 1.6, 1.12  # largest score over the population's worst, after two descents
 SHIFT_SHARE = 0.4  # share of individuals with shifted thicknesses only, in a search for yield
 NOMINAL_SHARE = 0.03  # weight of the nominal objective in the score of a search for yield
 DRAWS = 6  # random stacks of which the best becomes an individual

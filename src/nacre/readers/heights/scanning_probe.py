@@ -516,7 +516,7 @@ def read_spip(path: Path, options: ReadOptions) -> list[Measurement]:
 
     Raises:
         AmbiguousFileError: the file names no unit of its heights, or no lengths.
-        NacreError: the values are no lengths, or their number differs from the head.
+        NacreError: the values are not lengths, or their number differs from the head.
     """
     text = surface.whole_text(path)
     keys, rows = _parts(text)

@@ -49,7 +49,7 @@ def quantity_um(text: str) -> float:
     found = re.match(r"\s*([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*(\S+)", text)
     factor = length_um(found[2]) if found else None
     if found is None or factor is None:
-        raise ValueError(f'"{text.strip()[:30]}" is no length')
+        raise ValueError(f'"{text.strip()[:30]}" is not a length')
     return float(found[1].replace(",", ".")) * factor
 
 
@@ -176,7 +176,7 @@ def asked_unit(path: Path, options: ReadOptions, what: str = "heights") -> float
         )
     factor = length_um(options.unit)
     if factor is None:
-        raise NacreError(f'{path}: unit = "{options.unit}" is no length; allowed: {", ".join(UNIT_CHOICES)}')
+        raise NacreError(f'{path}: unit = "{options.unit}" is not a length; allowed: {", ".join(UNIT_CHOICES)}')
     return factor
 
 

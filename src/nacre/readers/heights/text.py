@@ -168,7 +168,7 @@ def read_xyz(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(f"{path}: gives a point of its grid twice")
     heights[row, column] = z
     if np.isnan(heights).mean() > 0.5:
-        raise NacreError(f"{path}: its points are no grid: {len(z)} of {heights.size} nodes are given")
+        raise NacreError(f"{path}: its points are not grid: {len(z)} of {heights.size} nodes are given")
     missing = int(np.isnan(heights).sum())
     assumed = [f"{missing} of {heights.size} points of the grid are not in the file and are holes"] if missing else []
     pitch = dx * factors[0], dy * factors[1]
@@ -254,7 +254,7 @@ def sniff_matrix(head: FileHead) -> float:
         return 0.0
     if columns >= WIDE:
         return 0.5 * POSSIBLE if is_abscissa else 2.0 * POSSIBLE
-    # without a column that rises or falls the numbers are no table over a coordinate
+    # without a column that rises or falls the numbers are not table over a coordinate
     return 0.5 * POSSIBLE if rises else 1.5 * POSSIBLE
 
 
@@ -276,7 +276,7 @@ def read_matrix(path: Path, options: ReadOptions) -> list[Measurement]:
     return [surface.height_map(path, values[1:, 1:] * factor, options.pitch_um, left_out=[said])]
 
 
-# Line profiles of stylus instruments, which are no height maps: recognised in order to be refused by name.
+# Line profiles of stylus instruments, which are not height maps: recognised in order to be refused by name.
 
 PROFILE_HEADING = re.compile(
     r"^\W*(x|lateral|distance|position|scan length|länge)[ _]*[\[(/]*(microns?|u?m|nm|mm|[µμ]m)?\W*[,;\t ]+\W*"

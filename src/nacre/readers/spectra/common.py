@@ -307,7 +307,7 @@ def axis_unit(path: Path, options: ReadOptions, stated: str) -> str:
     """
     unit = agreed_unit(path, options, unit_named(stated))
     if unit is None:
-        raise NacreError(f'{path}: "{stated}" is no unit of a spectrum')
+        raise NacreError(f'{path}: "{stated}" is not a unit of a spectrum')
     return unit
 
 
@@ -418,7 +418,9 @@ def named_quantity(
     if label is not None:
         return label
     if stated.strip():
-        raise AmbiguousFileError(f'{path}: "{stated.strip()}" is no known quantity of a spectrum', "quantity", SCALED)
+        raise AmbiguousFileError(
+            f'{path}: "{stated.strip()}" is not a known quantity of a spectrum', "quantity", SCALED
+        )
     return by_size(path, nm, values, notes, unnamed)
 
 

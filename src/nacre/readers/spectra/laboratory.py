@@ -486,7 +486,7 @@ def read_woollam_intensity(path: Path, options: ReadOptions) -> list[Measurement
         if not words:
             continue
         if not _ROW.match(line):
-            raise NacreError(f'{path}: "{line.strip()[:40]}" is no row of reflected or transmitted intensity')
+            raise NacreError(f'{path}: "{line.strip()[:40]}" is not a row of reflected or transmitted intensity')
         values = [number(word) for word in words[1:5]]
         if len(values) < 3 or any(value is None for value in values):
             raise NacreError(f'{path}: "{line.strip()[:60]}" lacks numbers; the file is cut or damaged')

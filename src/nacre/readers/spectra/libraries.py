@@ -113,7 +113,7 @@ def _page(path: Path) -> Page:
     lines = common.read_lines(path)
     match = _TITLE.match(lines[0]) if lines else None
     if match is None:
-        raise NacreError(f"{path}: its first line is no title of the USGS library")
+        raise NacreError(f"{path}: its first line is not a title of the USGS library")
     values: list[float] = []
     for place, line in enumerate(lines[1:], start=2):
         if not line.strip():
@@ -195,7 +195,7 @@ def _um(page: Page) -> Array:
     """Return wavelengths in um.
 
     Raises:
-        NacreError: numbers that are no wavelengths in um: not above 0, or above 300 (the library ends at 216).
+        NacreError: numbers that are not wavelengths in um: not above 0, or above 300 (the library ends at 216).
     """
     if not (np.isfinite(page.values).all() and page.values.min() > 0 and page.values.max() <= 300):
         raise NacreError(f"{page.path}: does not hold wavelengths in um")
@@ -393,7 +393,7 @@ def _xy(path: Path, block: Block) -> tuple[Array, Array]:
         NacreError: a table of peaks, a damaged line, or another point count than NPOINTS.
     """
     if block.kind == "PEAKTABLE":
-        raise NacreError(f"{path}: JCAMP-DX with a table of peaks, which is no spectrum")
+        raise NacreError(f"{path}: JCAMP-DX with a table of peaks, which is not a spectrum")
     x_factor, y_factor = (
         value if (value := _number(block, key)) is not None else 1.0 for key in ("XFACTOR", "YFACTOR")
     )

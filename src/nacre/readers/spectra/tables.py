@@ -451,7 +451,7 @@ def _check_range(path: Path, x: Array, unit: str) -> None:
     likely = likely_unit(x, unit) if nm.max() < MIN_NM or nm.min() > FAR_INFRARED_NM else None
     if likely is not None:
         raise AmbiguousFileError(
-            f"{path}: {x.min():g} to {x.max():g} {unit} are no wavelengths of optics; the unit is probably {likely}",
+            f"{path}: {x.min():g} to {x.max():g} {unit} are not wavelengths of optics; the unit is probably {likely}",
             "unit",
             common.UNIT_CHOICES,
         )

@@ -618,10 +618,10 @@ def grey_levels(path: str | Path) -> Array:
         raise
     except OSError as error:
         raise NacreError(
-            why_unreadable(error) if error.errno is not None else "is no picture that can be read"
+            why_unreadable(error) if error.errno is not None else "is not a picture that can be read"
         ) from None
     except (ValueError, SyntaxError, Image.DecompressionBombError):
-        raise NacreError("is no picture that can be read") from None
+        raise NacreError("is not a picture that can be read") from None
     low, high = float(levels.min()), float(levels.max())
     if not np.isfinite(high - low) or high <= low:
         raise NacreError("is of one grey level: it shows nothing")

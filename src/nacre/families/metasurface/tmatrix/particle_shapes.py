@@ -687,7 +687,7 @@ class SolvedBody(Body):
     errors: dict[float, float] = field(default_factory=dict, compare=False)
 
     @property
-    def name(self) -> str:  # type: ignore[override]  # read only, as all of a frozen dataclass
+    def name(self) -> str:  # type: ignore[override]  # read-only, like all fields of a frozen dataclass
         """Particle description."""
         radius, height = self.core_extents_nm
         coat = "" if self.shell is None else f", in {self.shell.thickness_nm:g} nm of {self.shell.material.name}"
