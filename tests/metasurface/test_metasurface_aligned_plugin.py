@@ -192,7 +192,7 @@ def test_the_file_of_an_aligned_particle_is_exported_whole(folder, tmp_path, cap
         (ALIGNED, "", 'correction = "ensemble"', 'model.correction = "ensemble" is not modelled for aligned'),
         (ALIGNED, "", 'correction = "optical-depth"', "is not modelled for aligned particles"),
         (ALIGNED, 'second = {material = "Ag", radius_nm = 40, share = 0.5}', "", "not modelled in a mixture"),
-        ("turn_deg = 30", "", "", 'turn_deg, which is of aligned particles alone; write orientation = "aligned" too'),
+        ("turn_deg = 30", "", "", 'turn_deg, which needs orientation = "aligned"'),
         ('orientation = "alinged"', "", "", "aligned"),
         ("", "", "", 'orientation = "aligned"'),  # depends too much on its turn for a mean: the line says what to do
         (ALIGNED.replace("25", "1e9"), "", "", "360"),

@@ -310,7 +310,7 @@ def test_what_a_mixture_cannot_be_gets_one_line():
 @pytest.mark.parametrize(
     ("key", "value", "said"),
     [
-        ("orientation", "aligned", "looks the same at any turn"),
+        ("orientation", "aligned", "symmetric about the normal"),
         ("turn_deg", 30, 'write orientation = "aligned" too'),
         ("rotation_deg", 30, 'write orientation = "aligned", and turn_deg'),
     ],

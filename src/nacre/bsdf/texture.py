@@ -455,7 +455,7 @@ class TextureSpec(RecipeModel):
 
     interpolation: Literal["linear", "nearest"] = Field(
         default="linear",
-        description="of an image: linear between pixel centres, or nearest, which gives each pixel one value up to its "
+        description="for an image: linear between pixel centres, or nearest, which gives a pixel one value up to its "
         "edge, as for process steps",
         examples=["nearest"],
     )

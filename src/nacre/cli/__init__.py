@@ -51,7 +51,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "studio": ("nacre.cli.render", "Open a live page on a recipe, on this machine only."),
     "report": ("nacre.cli.analysis", "Report colour, gloss, haze and flop as instruments measure them."),
     "tolerance": ("nacre.cli.analysis", "Compute colour variation and yield from manufacturing tolerances."),
-    "diagnose": ("nacre.cli.analysis", "Estimate what was off in a finished coating run."),
+    "diagnose": ("nacre.cli.analysis", "Estimate the deviations in a finished coating run."),
     "formulate": ("nacre.cli.design", "Match an effect paint with pigments of a library."),
     "runsheet": ("nacre.cli.analysis", "Print monitor signals and stop criteria of a coating run."),
     "sweep": ("nacre.cli.analysis", "Compute a material over many values of its numbers."),

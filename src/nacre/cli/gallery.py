@@ -58,7 +58,7 @@ class PictureSpec(RecipeModel):
     light_turn_deg: float = Field(default=0.0, description="turns the light round the object")
     ratio: float = Field(default=1.0, gt=0, le=1, description="height of the picture over its width")
     zoom: float | None = Field(default=None, description="magnification, as for `nacre render --zoom`")
-    spp: float = Field(default=1.0, description="times the usual number of samples")
+    spp: float = Field(default=1.0, description="factor on the default number of samples")
     quick: bool = Field(default=False, description="whether it is part of `nacre demo --quick`")
     name: str | None = Field(default=None, description="name of the picture's file; the recipe's if not given")
     quality: Literal["reference", "fast"] | None = Field(
@@ -82,7 +82,7 @@ class RowSpec(RecipeModel):
     scene: str = Field(description="scene, as for `nacre render --scene`")
     animate: Literal["light", "view"] = Field(description="what moves")
     cell: tuple[int, int] = Field(description="width and height of one material's picture, in pixels")
-    spp: float = Field(default=1.0, description="times the usual number of samples")
+    spp: float = Field(default=1.0, description="factor on the default number of samples")
     quick: bool = Field(default=False, description="whether it is part of `nacre demo --quick`")
     quality: Literal["reference", "fast"] | None = Field(
         default=None, description="quality of a pearl, in place of the recipe's own"

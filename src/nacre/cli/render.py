@@ -28,7 +28,7 @@ SCENES = (
     default=None,
     metavar="MESH",
     help=(
-        "Another object: a scene's name, or a mesh file (obj, ply, stl, gltf). Textures and formulas take its uv: "
+        "Another object: a scene's name, or a mesh file (obj, ply, stl, gltf). Textures and formulas use its uv: "
         "u runs to the right of an image and v up. A mesh without uv is wrapped: u once round the vertical axis, "
         "v from its lowest point up. Formulas also take its x, y and z, in radii of its bounding sphere."
     ),
@@ -64,10 +64,10 @@ SCENES = (
     type=float,
     default=None,
     metavar="SHARE",
-    help="Go on until the noise of the object's median pixel, as rendered, is this; default: 0.02, in at most 1024 "
-    "samples a pixel.",
+    help="Render until the object's median pixel has this relative noise; default: 0.02, with at most 1024 "
+    "samples per pixel.",
 )
-@click.option("--spp", type=int, default=None, help="In place of --noise: samples a pixel.")
+@click.option("--spp", type=int, default=None, help="In place of --noise: samples per pixel.")
 @click.option("--seconds", type=float, default=None, metavar="S", help="Render for S seconds, instead of to a noise.")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option(
@@ -91,7 +91,7 @@ SCENES = (
     type=click.Choice(["srgb", "filmic"]),
     default="srgb",
     show_default=True,
-    help="filmic: highlights roll off by the display curve of ACES (fit by Narkowicz); colours then are a look.",
+    help="filmic: highlights roll off by the display curve of ACES (Narkowicz), so colours are not colorimetric.",
 )
 @click.option("--denoise/--no-denoise", default=True, show_default=True, help="Denoise the picture.")
 @click.option(

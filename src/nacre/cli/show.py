@@ -242,7 +242,7 @@ def _read_directions(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | No
     "such as layers[0].thickness_nm=0:600.",
 )
 @click.option("--lightness", type=float, default=None, metavar="L", help="tracks: scale a*, b* to this L*, such as 50.")
-@click.option("--part", default=None, metavar="NAME", help="Of a sweep's spectrum; default: the brightest stored.")
+@click.option("--part", default=None, metavar="NAME", help="Part of a sweep's spectrum; default: the brightest stored.")
 @click.option("-o", "output", default=None, metavar="FILE.png|.pdf", help="Default: RECIPE-KIND.png.")
 @common.set_option
 @common.cache_option
@@ -351,7 +351,7 @@ def compile_(
     metavar="FILE",
     help="gltf: the object (.gltf, .glb, .obj, .ply, .stl).  [default: a sphere]",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print what was written and what was lost, as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the written files and the losses as JSON.")
 @common.set_option
 @common.cache_option
 @common.jobs_option

@@ -863,7 +863,7 @@ def check_answers(folder: Path) -> None:
     foreign = next((path for path in recipes if os.path.lexists(path)), None)
     if foreign is not None and not (folder / SUMMARY).exists():
         raise NacreError(
-            f"{folder}: holds a {foreign.relative_to(folder)} that is not a formulation's; choose another folder with -o"
+            f"{folder}: holds a {foreign.relative_to(folder)} from another source; choose another folder with -o"
         )
     if folder.is_dir():
         check_writable(folder / SUMMARY)

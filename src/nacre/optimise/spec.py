@@ -85,7 +85,7 @@ class TargetEntry(RecipeModel):
     )
     light_azimuth_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = Field(
         default=0.0,
-        description="of a hologram: azimuth of lamp and viewer about the normal, from u towards v",
+        description="for a hologram: azimuth of lamp and viewer about the normal, from u towards v",
         examples=[90],
     )
     hue_deg: Bounds | None = Field(
@@ -187,7 +187,7 @@ class LimitsSpec(RecipeModel):
     )
     height_levels: Annotated[int, Field(ge=2, le=256)] | None = Field(
         default=None,
-        description="of a picture: number of values, evenly spaced over its bounds, that the process gives each "
+        description="for a picture: number of values, evenly spaced over its bounds, that the process gives each "
         "parameter; colours between them are dithered",
         examples=[8],
     )
@@ -197,11 +197,11 @@ class LimitsSpec(RecipeModel):
         examples=[False],
     )
     dot_um: Annotated[float, Field(ge=1.0, le=1000.0)] = Field(
-        default=10.0, description="of a hologram: side of a dot", examples=[10]
+        default=10.0, description="for a hologram: side of a dot", examples=[10]
     )
     within_validity: bool = Field(
         default=False,
-        description="of a relief: heights stay within the validity of scalar diffraction",
+        description="for a relief: heights stay within the validity of scalar diffraction",
         examples=[True],
     )
 
@@ -216,7 +216,7 @@ class SearchSpec(RecipeModel):
 
     evaluations: Positive | None = Field(
         default=None,
-        description="candidates to evaluate at most; without it a number that suits the method. The same target, seed "
+        description="largest number of evaluated candidates; default: set by the method. The same target, seed "
         "and evaluations give the same result on any machine unless `seconds` ends the search first",
         examples=[2000],
     )

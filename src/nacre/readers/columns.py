@@ -200,7 +200,7 @@ def _in_nm(columns: Columns, column: Column, options: ReadOptions) -> Floats:
         nm = np.sort(to_nm(np.array([float(finite.min()), float(finite.max())]), unit))
         raise AmbiguousFileError(
             f'{columns.path}: "{column.heading}" holds {float(finite.min()):.6g} to {float(finite.max()):.6g} {unit} '
-            f"({nm[0]:.4g} to {nm[1]:.4g} nm), which are not wavelengths of this optics; the unit is probably {likely}; "
+            f"({nm[0]:.4g} to {nm[1]:.4g} nm), which are not optical wavelengths; the unit is probably {likely}; "
             f"correct the heading or state unit",
             "unit",
             (likely, unit) if likely in UNITS else (unit,),
@@ -361,7 +361,7 @@ def _ignored(table: TextTable, headings: list[str], options: ReadOptions) -> tup
     missing = [word for word in options.ignore if normal(word).strip('" ').lower() not in plain]
     if missing:
         raise NacreError(
-            f'{table.path}: ignore: "{missing[0]}" is not a column; the columns are {table.shown_headings}'
+            f'{table.path}: ignore: column "{missing[0]}" is missing; the columns are {table.shown_headings}'
         )
     return [h for h, p in zip(headings, plain) if p in wanted], [p in wanted for p in plain]
 

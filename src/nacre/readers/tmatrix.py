@@ -87,7 +87,7 @@ def si_unit(attributes: Any, kind: str, name: str) -> float:
         prefix = "?"
     if prefix not in PREFIXES:
         raise TMatrixFileError(
-            f'gives {name} in "{shown(given)}", which is not a unit of {kind} in this format; it should be {UNITS[kind]}'
+            f'gives {name} in "{shown(given)}", which is not a unit of {kind} there; it should be {UNITS[kind]}'
         )
     return float(PREFIXES[prefix] ** power)
 

@@ -323,15 +323,15 @@ class RidgesSpec(RecipeModel):
         "ridges, of isotropic layers on pedestals of the substrate",
     )
     width_deviation_nm: Annotated[float, Field(ge=0.0, le=1e4)] = Field(
-        default=0.0, description="of vector optics: standard deviation of the ridges' widths", examples=[30]
+        default=0.0, description="for vector optics: standard deviation of the ridges' widths", examples=[30]
     )
     shift_deviation_nm: Annotated[float, Field(ge=0.0, le=1e4)] = Field(
         default=0.0,
-        description="of vector optics: standard deviation of the ridges' places across; neighbours stay apart",
+        description="for vector optics: standard deviation of the ridges' lateral positions; neighbours never touch",
         examples=[50],
     )
     draws: Annotated[int, Field(ge=1, le=1000)] = Field(
-        default=20, description="of vector optics: number of supercells, over which the light is averaged"
+        default=20, description="for vector optics: number of supercells, over which the light is averaged"
     )
 
     def model_post_init(self, _: Any) -> None:

@@ -78,8 +78,8 @@ class ShapeSpec(RecipeModel):
     size_nm: tuple[Length, Length] | None = Field(
         default=None, description="sizes along x and y at once, instead of width_nm and length_nm", examples=[[120, 90]]
     )
-    diameter_nm: Length | None = Field(default=None, description="of a disc or a ring", examples=[140])
-    inner_diameter_nm: Length | None = Field(default=None, description="of a ring", examples=[80])
+    diameter_nm: Length | None = Field(default=None, description="diameter of a disc or a ring", examples=[140])
+    inner_diameter_nm: Length | None = Field(default=None, description="inner diameter of a ring", examples=[80])
     rotation_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = Field(
         default=0.0, description="turn about its centre, from x towards y", examples=[30]
     )

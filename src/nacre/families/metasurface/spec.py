@@ -56,7 +56,7 @@ class LayerSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 500}',)
 
-    material: IndexSpec = Field(description="what the layer is made of")
+    material: IndexSpec = Field(description="material of the layer")
     thickness_nm: Annotated[float, Field(ge=0.0, le=MAX_THICKNESS_NM)] = Field(
         description="geometric thickness of the layer", examples=[500]
     )
@@ -69,12 +69,12 @@ class StructureSpec(RecipeModel):
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"enum": list(ARRANGEMENTS)},)
 
     name: Literal["hard-disk", "rsa", "poisson-disk", "lattice"] | None = Field(
-        default=None, description="type of order; a bare name needs no table", examples=["lattice"]
+        default=None, description="type of order; a name can replace the table", examples=["lattice"]
     )
     points: FileSpec | None = Field(
         default=None,
-        description="in place of name: a file of the particles' positions, in um unless it or `unit` says else, or a "
-        "picture of particles (png, tif, jpg, bmp) that width_um goes with",
+        description="in place of name: a file of particle positions, in um unless it or `unit` states another, or a "
+        "picture of particles (png, tif, jpg, bmp), which needs width_um",
         examples=["xy.csv"],
     )
     width_um: Positive | None = Field(default=None, description="width of the picture that points names", examples=[10])
@@ -176,7 +176,7 @@ class EnsembleSpec(RecipeModel):
         default=48, description="patterns; the standard error falls with the root"
     )
     multipole_order: Annotated[int, Field(ge=1, le=4)] = Field(
-        default=2, description="highest multipole of a sphere in the ensemble and in the model that it is set against"
+        default=2, description="highest multipole of a sphere in the ensemble and in the mean-field reference"
     )
 
 
@@ -190,8 +190,8 @@ class ModelSpec(RecipeModel):
     )
     tolerance: Annotated[float, Field(ge=1e-5, le=MAX_TOLERANCE)] | None = Field(
         default=None,
-        description="largest change of a sphere's far field when its order is doubled; beyond, the material "
-        "is refused; without it 0.001 is aimed at and up to 0.01 taken with a warning",
+        description="largest change of a sphere's far field when its order is doubled; a larger one "
+        "is refused; default: 0.001, or up to 0.01 with a warning",
         examples=[0.005],
     )
     interaction_order: Annotated[int, Field(ge=1, le=4)] = Field(
@@ -201,12 +201,12 @@ class ModelSpec(RecipeModel):
         "auto", "ensemble", "qca-balanced", "qca-ladder", "gv-balanced", "optical-depth", "in-only", "in-out", "none"
     ] = Field(
         default="auto",
-        description="how the balance C between neighbouring spheres is taken into account: by a mean field "
-        '("qca-balanced"), which takes seconds, by that and the light that neighbours pass on ("qca-ladder"), which '
-        "takes up to two seconds a wavelength and is nearer, or by solving patterns of many spheres "
-        '("ensemble"), which takes minutes; "auto" takes the mean field where it was measured to hold to 12 %',
+        description="treatment of the balance C between neighbouring spheres: a mean field "
+        '("qca-balanced"), in seconds; a mean field with light exchanged by neighbours ("qca-ladder"), more accurate, '
+        "in up to two seconds per wavelength; or solved patterns of many spheres "
+        '("ensemble"), in minutes; "auto" chooses the mean field where its measured error is below 12 %',
     )
-    ensemble: EnsembleSpec = Field(default=EnsembleSpec(), description="how large an ensemble is")
+    ensemble: EnsembleSpec = Field(default=EnsembleSpec(), description="size of an ensemble")
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +269,7 @@ class MetasurfaceSpec(RecipeModel):
     )
     extrapolate: Literal["error", "edge"] = Field(
         default="error",
-        description="outside the tabulated range of an optical constant: refuse, or hold the end values",
+        description="outside the tabulated range of an optical constant: an error, or the end values",
     )
 
     def build(self, context: RecipeContext) -> MetasurfaceModel:

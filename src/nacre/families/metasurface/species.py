@@ -505,7 +505,7 @@ class ShellSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 10}',)
 
-    material: IndexSpec = Field(description="what the shell is made of")
+    material: IndexSpec = Field(description="material of the shell")
     thickness_nm: Annotated[float, Field(gt=0.0, le=CORE_LIMIT_NM)] = Field(
         description="uniform thickness of the shell, from the core outward: twice as much is added to "
         "diameter_nm and height_nm, once to radius_nm",
@@ -540,13 +540,13 @@ class SpeciesSpec(RecipeModel):
     )
     depth_nm: NotNegative | None = Field(
         default=None,
-        description="in place of gap_nm: the particles lie inside a layer, which is clear and holds them whole, their "
-        "tops (of the mean size) this far below the top of the layers",
+        description="in place of gap_nm, for particles entirely inside one clear layer: depth of their "
+        "tops (at mean size) below the top of the layers",
         examples=[100],
     )
     shell: ShellSpec | None = Field(
         default=None,
-        description="a coat round the core, round about a cylinder's edges; gap_nm and depth_nm are of its outside",
+        description="a coat round the core, rounded at a cylinder's edges; gap_nm and depth_nm refer to its outside",
     )
     tmatrix: str | None = Field(
         default=None,
@@ -556,14 +556,12 @@ class SpeciesSpec(RecipeModel):
     )
     diameter_nm: Extent | None = Field(
         default=None,
-        description="width of a cylinder or spheroid (of its core); or of what tmatrix describes, if its file does "
-        "not say",
+        description="width of a cylinder or spheroid (of its core), or of a particle in tmatrix if missing in its file",
         examples=[120],
     )
     height_nm: Extent | None = Field(
         default=None,
-        description="height of a cylinder or spheroid (of its core); or of what tmatrix describes, if its file does "
-        "not say",
+        description="height of a cylinder or spheroid (its core), or of a particle in tmatrix if missing in its file",
         examples=[80],
     )
 
@@ -576,12 +574,12 @@ class SpeciesSpec(RecipeModel):
 
     orientation: Literal["averaged", "aligned"] = Field(
         default="averaged",
-        description="of a particle of tmatrix that is not axisymmetric: the mean over its turn about the normal, or "
-        "all point one way, the file's x along the surface's u",
+        description="for a particle of tmatrix that is not axisymmetric: the mean over rotations about the normal, or "
+        "aligned, with the file's x along the surface's u",
     )
     turn_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = Field(
         default=0.0,
-        description="angle by which aligned particles are turned about the normal, from u towards v",
+        description="rotation of aligned particles about the normal, from u towards v",
         examples=[30],
     )
 
@@ -596,11 +594,11 @@ class SpeciesSpec(RecipeModel):
     def model_post_init(self, _: Any) -> None:
         if self.tmatrix is None and self.orientation == "aligned":
             raise ValueError(
-                f'gives orientation = "aligned" of a {self.shape}, which looks the same at any turn about the normal; '
-                "it is for a particle of tmatrix"
+                f'gives orientation = "aligned" of a {self.shape}, which is symmetric about the normal; '
+                "it applies to a particle of tmatrix"
             )
         if "turn_deg" in self.model_fields_set and self.orientation != "aligned":
-            raise ValueError('gives turn_deg, which is of aligned particles alone; write orientation = "aligned" too')
+            raise ValueError('gives turn_deg, which needs orientation = "aligned"; add it')
         if self.depth_nm is not None and "gap_nm" in self.model_fields_set:
             raise ValueError("gives gap_nm and depth_nm; particles lie above the layers or inside one")
         self._one_kind()
@@ -770,7 +768,7 @@ class SecondSpeciesSpec(SpeciesSpec):
     forms: ClassVar[tuple[str, ...]] = ('{material = "Ag", radius_nm = 50, share = 0.3}',)
 
     share: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
-        description="number of these particles over that of all", examples=[0.3]
+        description="number fraction of these particles", examples=[0.3]
     )
 
 

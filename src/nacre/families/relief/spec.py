@@ -33,7 +33,7 @@ class ReliefModelSpec(RecipeModel):
     )
     tolerance: Annotated[float, Field(ge=1e-6, le=0.1)] | None = Field(
         default=None,
-        description="of vector optics: largest estimated error of an order's efficiency; default: 2e-4, of narrow "
+        description="for vector optics: largest estimated error of an order's efficiency; default: 2e-4, of narrow "
         "walls 1e-3, of blocks 4e-3",
         examples=[1e-3],
     )
@@ -80,12 +80,12 @@ class ReliefSpec(RecipeModel):
     )
     level: Literal["plane", "none"] | None = Field(
         default=None,
-        description="of a scan: remove the least-squares plane, or let the light see it; default: remove that of an "
+        description="for a scan: remove the least-squares plane, or keep it; default: remove that of an "
         "instrument's file",
     )
     statistics: Literal["scan", "random", "isotropic"] | None = Field(
         default=None,
-        description="of a scan: diffraction by the scan itself, or by random heights with its power spectral density, "
+        description="for a scan: diffraction by the scan itself, or by random heights with its power spectral density, "
         "also averaged over azimuth; default: by its heights and autocovariance",
     )
     height_unit: Literal["nm", "um", "mm", "m"] | None = Field(

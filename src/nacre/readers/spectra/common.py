@@ -418,9 +418,7 @@ def named_quantity(
     if label is not None:
         return label
     if stated.strip():
-        raise AmbiguousFileError(
-            f'{path}: "{stated.strip()}" is not a known quantity of a spectrum', "quantity", SCALED
-        )
+        raise AmbiguousFileError(f'{path}: "{stated.strip()}" is not a known spectral quantity', "quantity", SCALED)
     return by_size(path, nm, values, notes, unnamed)
 
 
