@@ -73,7 +73,7 @@ def test_no_recipe_model_is_left_out_of_the_reference() -> None:
         return {model}.union(*(below(inner) for inner in model.__subclasses__()))
 
     known = {base for table in TABLES for base in table.__mro__}
-    # and not those of tests, nor what only holds one value while it is read
+    # without models of tests, and without wrappers of a single value
     own = {m for m in below(RecipeModel) if m.__module__.startswith("nacre") and not m.__name__.startswith("_")}
     assert {model.__name__ for model in own - known} == set()
 

@@ -50,7 +50,7 @@ def test_yes_may_stand_anywhere(capsys):
     [(200.0, 25.0, 4, 1.0), (200.0, 25.0, 4, 0.2), (200.0, 1e9, 1, 1.0), (30.0, 0.0, 0, 1.0)],
 )
 def test_without_a_terminal_long_work_reports_progress_in_lines(monkeypatch, capsys, seconds, pace, lines, share):
-    """On a machine that gives it a fifth of its cores, also how long the rest takes of free ones."""
+    """With a fifth of the cores available, the lines also state the remaining time on free cores."""
     clock = iter(range(0, 1000, 10))  # each look at the clock finds it ten seconds on
     monkeypatch.setattr(common, "_is_terminal", lambda: False)
     monkeypatch.setattr(common, "PACE_S", pace)

@@ -188,7 +188,7 @@ def test_a_falling_calibration_works_too(tmp_path: Path) -> None:
     ],
 )
 def test_a_calibration_is_read_as_its_heading_says(tmp_path: Path, text: str) -> None:
-    """Depth before grey was taken for a curve of 0 to 4000 um."""
+    """A table with depth before grey used to be read as a curve from 0 to 4000 um."""
     (tmp_path / "curve.csv").write_text(text)
     curve = read_calibration(tmp_path / "curve.csv")
     assert curve.grey.tolist() == [0.0, 1000.0, 4000.0] and curve.depth_um == pytest.approx([2.0, 1.0, 0.1])

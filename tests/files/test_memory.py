@@ -132,7 +132,7 @@ def test_features_far_below_the_blur_make_a_flat_mirror(feature_um: float, tmp_p
 
 
 def test_a_file_that_unpacks_to_more_than_is_allowed_is_refused_before(tmp_path: Path, small: None) -> None:
-    """The array is not read: it is not even there in full."""
+    """The array is refused before it is read: the file does not even contain all of it."""
     path = tmp_path / "film.nacre"
     nacre.material({"family": "film", "substrate": "Si"}).bsdf([500.0, 600.0]).save(path)
     with zipfile.ZipFile(path) as packed:

@@ -89,7 +89,7 @@ def test_a_thin_paint_is_what_balls_traced_one_by_one_are() -> None:
 
 
 def test_what_a_ball_carries_on_is_counted_where_they_stand_close() -> None:
-    """Shadows met at random, as points, let too much pass: the way inside a ball closes most of the gap."""
+    """Independent point-like shadows transmit too much; the path inside a ball explains most of the difference."""
     found, error = traced(0.2, 24.0, 20.0, 5, 4000, 1.0)
     light = ball_light(*_ball_of(0.2))
     points = (4 / 3 * 4 + light.carried[0]) / (4 / 3 / 0.2)

@@ -519,9 +519,9 @@ def test_each_endless_pattern_of_lossless_spheres_sends_out_what_arrives(substra
     ],
 )
 def test_where_the_window_ends_changes_no_coupling(second, place):
-    """Of a mixture the direct waves beyond it go between unlike heights: left out, they miss by 2 to 3 %.
+    """In a mixture direct waves beyond the window connect different heights; without them the error is 2 to 3 %.
 
-    Light that a film guides goes far too: without the waves beyond its index they miss by 2.6 %.
+    Light guided by a film also propagates far; without the waves beyond its index the error is 2.6 %.
     """
     from nacre.families.metasurface.supercells import Coupling, PeriodicCoupling
 

@@ -170,7 +170,7 @@ def test_what_a_layer_sends_back_to_another_height_is_that_of_one_height_carried
     carried = np.einsum("ab,bcr->acr", lift(top, stack.inner_wavenumber * up)[low], level[:, low])
     found = reflected_coupling(stack, source + up / 2, 2, r, lift_nm=up)
     assert np.abs(found - carried).max() <= CARRIED * np.abs(found).max()
-    # and back the other way but for the sign of what looks up and what looks down: each sees as it is seen
+    # reciprocity: the reverse differs only in the signs of upward and downward waves
     turned = reflected_coupling(stack, source + up / 2, 2, r, lift_nm=-up)
     index = multipole_index(2)
     partner = [int(np.nonzero((index.m == -m) & (index.tau == t) & (index.l == l))[0][0])

@@ -458,7 +458,12 @@ def test_what_is_no_such_file_gets_one_line(tmp_path, capsys):
     (tmp_path / "text.h5").write_text("not a file of this kind")
     (tmp_path / "half.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(40))
     (tmp_path / "folder.h5").mkdir()
-    reported = {"text": "is no HDF5 file", "half": "is no HDF5 file", "folder": "is a folder", "none": "does not exist"}
+    reported = {
+        "text": "is not a readable HDF5 file",
+        "half": "is not a readable HDF5 file",
+        "folder": "is a folder",
+        "none": "does not exist",
+    }
     for name, said in reported.items():
         assert said in _refusal(tmp_path, capsys, f'tmatrix = "{name}.h5"')
 

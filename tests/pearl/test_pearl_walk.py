@@ -180,7 +180,7 @@ def test_sample_and_eval_agree_within_half_a_percent(mi, name):
 
 @pytest.mark.parametrize("name", ["smooth top", "compensated", "open, rough, two strata"])
 def test_one_walk_for_both_gives_what_two_walks_give(mi, name):
-    """A path tracer asks for value and sample together; the walk that serves both must have the means of both."""
+    """A path tracer requests value and sample together; the joint walk must have the means of two separate walks."""
     from nacre.device.walk.strata import Strata
     from nacre.device.walk.walk import eval_walk, joint_walk, sample_walk
 

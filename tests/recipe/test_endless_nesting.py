@@ -19,7 +19,7 @@ ENDLESS = {
 
 @pytest.mark.parametrize("where", ENDLESS)
 def test_a_key_dotted_without_end_is_refused_before_it_is_read(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Python's reader takes memory by the square of its parts: 40 GB for these."""
+    """The memory of Python's reader grows with the square of the number of parts: 40 GB here."""
     monkeypatch.setattr("tomllib.loads", lambda text: pytest.fail("it was read"))
     with pytest.raises(RecipeError, match="nested without end"):
         parse_toml(ENDLESS[where], "deep.toml")

@@ -232,7 +232,7 @@ def test_examples_are_listed_and_copied(tmp_path: Path, capsys: pytest.CaptureFi
 def test_an_example_that_the_disk_has_no_room_for_leaves_no_half_of_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A half would be in the way of the next copy, as a file of another content."""
+    """A partial copy would block the next one, as an existing file with other content."""
 
     def full(source: Path, target: Path) -> None:
         Path(target).write_bytes(b"half")

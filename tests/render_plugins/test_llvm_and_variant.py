@@ -216,7 +216,7 @@ def test_variants_without_plain_spectra_are_refused(name: str, monkeypatch: pyte
 
 
 def test_without_llvm_a_tiny_picture_still_comes_with_a_warning(tmp_path: Path) -> None:
-    """scalar_spectral is the fallback, and says how slow it is."""
+    """The fallback is scalar_spectral, with a warning about its speed."""
     done = python(PLAIN_SCENE, {**refuse_all(tmp_path), variant.ENVIRONMENT_VARIABLE: ""})
     assert done.returncode == 0, done.stderr
     assert "RuntimeWarning: no usable LLVM was found" in done.stderr

@@ -140,7 +140,7 @@ def test_a_light_with_a_stated_turn_shines_from_there(name: str, tmp_path: Path)
 
 
 def test_light_sampling_agrees_with_looking() -> None:
-    """Next event estimation of a lit floor equals the radiance found by chance alone."""
+    """Next-event estimation of a lit floor agrees with random directions."""
     from nacre.device.variant import use_variant
     from nacre.picture.emitters import make_environment
 

@@ -53,7 +53,7 @@ def test_before_the_first_pass_a_render_leaves_at_once(tmp_path: Path) -> None:
 
 
 def test_who_leaves_at_once_says_so_once() -> None:
-    """The main thread, free to hear of the interrupt too, must not say it again while the process ends."""
+    """The main thread also receives the interrupt; it must not report it again while the process ends."""
     code = """
 import os, signal, time
 from nacre.picture.interrupt import leaving_at_once

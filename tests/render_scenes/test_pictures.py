@@ -83,7 +83,7 @@ def test_a_stage_remembers_nothing_of_the_last_material(gold: Any) -> None:
 
 
 def test_each_of_several_threads_gets_its_own_picture() -> None:
-    """They share the cached scene, which has one material at a time: a thread got the picture of another's."""
+    """Threads share a cached scene with one material at a time: one used to get another thread's picture."""
     from concurrent.futures import ThreadPoolExecutor
 
     def made(thickness_nm: float) -> Any:

@@ -447,7 +447,7 @@ def test_the_screen_by_arrays_equals_the_screen_by_plugin() -> None:
 
 
 def test_without_llvm_small_previews_still_render(tmp_path: Path) -> None:
-    """scalar_spectral, in a process of its own, as this one has its variant; own scenes and several lights too."""
+    """scalar_spectral in a separate process, since this one has a variant; also user scenes and several lights."""
     import os
     import subprocess
     import sys

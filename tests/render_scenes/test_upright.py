@@ -259,7 +259,7 @@ def write_gltf(path: Path, tree: dict[str, Any], data: bytes) -> None:
 @pytest.mark.parametrize("suffix", [".gltf", ".glb"])
 @pytest.mark.parametrize(("kind", "component"), [("<f4", 5126), ("<u2", 5123), ("u1", 5121)])
 def test_a_gltf_without_materials_keeps_its_uv(tmp_path: Path, suffix: str, kind: str, component: int) -> None:
-    """trimesh reads the uv of what names a material alone, and integers as they are; in glTF v runs down."""
+    """trimesh reads uv only of primitives with a material, and does not scale integers; in glTF v runs down."""
     white = 1 if kind == "<f4" else np.iinfo(kind).max
     stored = (GLTF_UV * white).astype(kind) if white == 1 else np.rint(GLTF_UV * white).astype(kind)
     write_gltf(tmp_path / f"bare{suffix}", *gltf(stored, component))
@@ -303,7 +303,7 @@ def test_what_a_gltf_packs_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("seen_along", ["x", "y", "z"])
 @pytest.mark.parametrize("is_turned", [False, True])
 def test_a_polygon_with_notches_is_cut_within_its_outline(tmp_path: Path, seen_along: str, is_turned: bool) -> None:
-    """An E has the area of its strokes, whichever corner comes first; readers fan it out over its gaps."""
+    """A polygon in the form of an E has the area of its strokes for any first corner; a fan would cover its gaps."""
     outline = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 2), (2, 2), (2, 3), (1, 3), (1, 4), (3, 4), (3, 5), (0, 5)]
     area = 5.0 + 2.0 + 1.0 + 2.0
     around = outline[::-1] if is_turned else outline

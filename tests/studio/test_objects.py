@@ -203,7 +203,7 @@ def test_a_picture_shows_the_own_mesh(client: TestClient) -> None:
 @pytest.mark.render
 @pytest.mark.parametrize("name", ["sun", "sky"])
 def test_a_sky_lights_the_floor_as_mitsuba_says(name: str) -> None:
-    """A matt white sheet under the picture's own light, rendered, beside the table that the page draws with."""
+    """Compare a rendered matt white sheet under the picture's light with the table that the page uses."""
     from nacre.device.variant import use_variant
     from nacre.light import xyz_to_srgb_linear
     from nacre.picture.emitters import make_light

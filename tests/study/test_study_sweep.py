@@ -274,7 +274,7 @@ def test_two_workers_over_tcp_walk_a_pearl_as_one_does(tmp_path: Path) -> None:
 @pytest.mark.parametrize("observer", ["2deg", "10deg"])
 @pytest.mark.parametrize("lamp", ["D65", "A", "F2", "F11", "LED-B3"])
 def test_a_sweeps_colours_are_within_half_a_de_of_a_fine_grid_under_every_lamp(lamp: str, observer: str) -> None:
-    """Sixty films; under F11 the material's own 10 nm gave 0.61: its lines need wavelengths of their own."""
+    """Sixty films; under F11 the default step of 10 nm gave 0.61: its lines need additional wavelengths."""
     g = np.random.default_rng(0)
     fine = np.arange(360.0, 831.0)
     angles = (0.0, 45.0, 60.0)

@@ -167,7 +167,7 @@ def spectrum_measurement(
     """
     if options.quantity is None and any(said.startswith("no heading") for each in found for said in each.assumed):
         raise AmbiguousFileError(
-            f"{path}: no heading says what the columns are; write one, such as wavelength_nm,specular_reflectance, or "
+            f"{path}: the columns lack headings; write some, such as wavelength_nm,specular_reflectance, or "
             'state quantity = "reflectance" (or transmittance)',
             "quantity",
             ("reflectance", "transmittance"),

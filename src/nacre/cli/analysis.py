@@ -350,7 +350,7 @@ SUFFIXES = (".txt", ".csv", ".json", ".png", ".pdf", ".svg")
 @click.option("--noise", type=float, default=0.001, show_default=True, help="Standard deviation of the signal.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-o", "outputs", multiple=True, metavar="FILE",
-              help="Table (.txt), curves (.csv), both (.json), figure (.png, .pdf, .svg); several times.")  # fmt: skip
+              help="Table (.txt), curves (.csv), both (.json), figure (.png, .pdf, .svg); repeatable.")  # fmt: skip
 @common.set_option
 def runsheet(
     recipe: str, wavelength_nm: float, angle_deg: float, quantity: str, noise: float, as_json: bool,

@@ -147,7 +147,7 @@ def _elements(matrices: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 def _csv(
     wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np.ndarray], polarisation: str = "both"
 ) -> str:
-    """Return a spectrum's table; of polarised light it has a column that says so."""
+    """Return a spectrum's table; for polarised light it has a column with the polarisation."""
     stated = [] if polarisation in ("both", "mueller") else [polarisation]
     lines = [",".join(["wavelength_nm", "angle_deg", *(["polarisation"] if stated else []), *parts])]
     for a, angle in enumerate(angles_deg):

@@ -227,7 +227,7 @@ def _without_texture(table: TextTable, quantities: Sequence[str]) -> tuple[TextT
     """Return a table without its columns of texture, and the numbers of each row.
 
     Raises:
-        RecipeError: a quantity stands twice, or a number is not above 0.
+        RecipeError: a quantity occurs twice, or a number is not above 0.
     """
     places = {heading: place for place, heading in enumerate(table.headings) if heading in quantities}
     if not places:

@@ -225,7 +225,7 @@ def read_data(target: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], R
     """Return a copy of the tables of a target file, which may be named as an example, and its location.
 
     Raises:
-        NacreError: the file cannot be read, or is no TOML.
+        NacreError: the file cannot be read, or is not TOML.
     """
     if isinstance(target, Mapping):
         return copy.deepcopy(dict(target)), RecipeContext("target", Path().resolve(), "")

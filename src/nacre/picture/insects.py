@@ -269,7 +269,7 @@ def _shell(profile: Sequence[tuple[float, float, float]], is_scored: bool, cells
 
 
 def beetle_shell() -> mesh.Mesh:
-    """Wing cases, neck shield and head, which take the material."""
+    """Wing cases, neck shield and head, which get the material."""
     parts = [_shell(_WING_CASES, True, (560, 640)), _shell(_SHIELD, False, (160, 90)), _shell(_HEAD, False, (120, 80))]
     whole = mesh.merge(parts)
     across = 0.5 + 0.5 * whole.vertices[:, 0] / _HALF_WIDTH

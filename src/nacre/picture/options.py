@@ -298,7 +298,7 @@ def read_until(spp: int | None, noise: float | None, seconds: float | None) -> U
     """
     given = [name for name, value in (("spp", spp), ("noise", noise), ("seconds", seconds)) if value is not None]
     if len(given) > 1:
-        raise NacreError(f"{' and '.join(given)}: give one of them; each says when the picture is done")
+        raise NacreError(f"{' and '.join(given)}: give one of them; each ends the picture")
     if noise is not None:
         if not LEAST_NOISE <= noise <= 1:
             raise NacreError(f"noise = {noise!r} is not allowed; give {LEAST_NOISE:g} to 1")

@@ -63,7 +63,7 @@ def opened(path: str | Path, script: str = PROBE, timeout_s: float = PROBE_TIMEO
     try:
         file = h5py.File(path, "r")
     except OSError:
-        raise Hdf5Error("is no HDF5 file that can be read") from None
+        raise Hdf5Error("is not a readable HDF5 file") from None
     with file:
         yield file
 

@@ -248,7 +248,7 @@ def _check_layer(thickness_nm: float, spheres: SpheresSpec, balls: BallsSpec | N
     least, held = (across, "spheres") if balls is None else (MIN_LAYERS * 2 * balls.radius_nm, "balls")
     if balls is not None and 2 * balls.radius_nm < across:
         raise ValueError(
-            f"balls.radius_um = {balls.radius_nm / 1e3:g} is not allowed; {MIN_LAYERS} spheres should stand across "
+            f"balls.radius_um = {balls.radius_nm / 1e3:g} is not allowed; {MIN_LAYERS} spheres should fit across "
             f"a ball, a radius of at least {across / 2e3:g}"
         )
     if thickness_nm < least:

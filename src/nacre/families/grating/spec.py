@@ -219,7 +219,7 @@ class OrientationSpec(RecipeModel):
     )  # fmt: skip
 
     turn_deg: float | TextureSpec = Field(
-        default=0.0, description="angle from u to the direction across the lines, from u towards v", examples=[30]
+        default=0.0, description="azimuth of the direction across the lines, from u towards v", examples=[30]
     )
 
 
