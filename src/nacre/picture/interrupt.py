@@ -16,7 +16,7 @@ _came_late = threading.Event()  # the last picture was complete at the interrupt
 
 
 def begin_picture() -> None:
-    """Note that a picture begins."""
+    """Record the start of a picture."""
     _has_passes.clear()
     _came_late.clear()
 

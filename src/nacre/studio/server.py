@@ -581,7 +581,7 @@ async def parameters(request: Request) -> Response:
 
 
 async def file(request: Request) -> Response:
-    """Answer an exported or fabrication file, or a rendered picture."""
+    """Return an exported or fabrication file, or a rendered picture."""
     body, studio = await _body(request), _studio(request)
     question = {**read_file(body, studio.opened), **_mesh(body, studio)}
     packed = await _result(request, "file", "nacre.studio.downloads:make_file", question, FILE_S)

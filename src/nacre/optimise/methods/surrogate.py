@@ -44,18 +44,18 @@ class SurrogateOptions:
     """Options of `SurrogateSearch`.
 
     Attributes:
-        scout_share, exploration_share: of the budget of a round.
+        scout_share, exploration_share: fractions of a round's budget.
         fine_share: budget share for scouts and descents if the surrogate error is known.
         fine_starts: scouts that start fine descents.
         starts, starts_per_structure: refinements per round if the error is unknown.
         best_starts: refinements that are corrected by estimates.
         scout_refinements, scout_walks, scout_radius: refinements per start, walks for their estimates, and the
-            trust radius of the correction, of the bounds.
+            trust radius of the correction, relative to the bounds.
         max_nfev, corrected_nfev: refinement steps, without and with a known error.
         step: finite difference, relative to the bounds.
-        trust_radius, radius_shrink, min_radius: of the correction, of the bounds.
+        trust_radius, radius_shrink, min_radius: trust region of the correction, relative to the bounds.
         min_amount: least amount in an optional table that is present, relative to its bounds.
-        first_walks, max_walks: of an estimate.
+        first_walks, max_walks: walks of an estimate.
         corrections: refinements between estimates.
         max_noise, noise_share: acceptable colour noise in tolerances, and relative to the objective.
         good_rms, poor_objective: rms in tolerances of a minimum that is corrected at once, and objective beyond which a
@@ -63,8 +63,8 @@ class SurrogateOptions:
         gain, max_idle: smaller objective improvements, and how many end the work on a minimum.
         max_start_ratio: start rms relative to the best one.
         unconfirmed_ratio: surrogate objective relative to the best estimate at which it becomes a solution.
-        hopeless_ratio: objective relative to the best one at which a minimum is given up.
-        small_amount, removal_cost: amounts that are tried without, of their bounds, and the objective that may cost.
+        hopeless_ratio: objective relative to the best one at which a minimum is discarded.
+        small_amount, removal_cost: amounts, relative to their bounds, tried without; allowed objective rise.
         idle_rounds: rounds without improvement that end the search.
         min_start_distance: between starts, relative to the bounds.
         max_subset_error: colour error of the wavelength subset, in tolerances.

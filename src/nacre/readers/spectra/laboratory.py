@@ -86,7 +86,7 @@ def _directory(path: Path, data: bytes) -> list[tuple[BlockType, bytes]]:
         if offset == 0:
             continue
         if offset + 4 * size > len(data):
-            raise NacreError(f"{path}: an OPUS block ends behind the file; it is cut")
+            raise NacreError(f"{path}: an OPUS block extends beyond the file; it is cut")
         parts = []
         for bits in _BITS:
             parts.append(code & ((1 << bits) - 1))
