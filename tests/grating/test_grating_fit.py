@@ -37,7 +37,8 @@ def test_orders_are_fitted(folder: Path) -> None:
     page, out = folder / "fit.html", folder / "fit.toml"
     words = [str(folder / "orders.csv"), str(folder / "start.toml"), "--parameter", f"{DEPTH}=100:200", "--starts", "1"]
     assert run(["fit", *words, "-o", str(out), "--report", str(page)]) == 0
-    assert nacre.load(out).get(DEPTH) == pytest.approx(150.0, abs=0.5)
+    # 1e-3 nm change efficiencies by 1e-5, the least error that lines state; coarse solutions alone are off by 0.03 nm
+    assert nacre.load(out).get(DEPTH) == pytest.approx(150.0, abs=1e-3)
     assert page.stat().st_size > 10_000
 
 

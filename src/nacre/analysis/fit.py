@@ -6,7 +6,8 @@ of the parameters; CMA-ES continues from starts at which finite differences see 
 
 If a random walk has a noise-free surrogate (`contract.search_model` is direct), the starts are refined on the
 surrogate. At the best point the walk's difference is added as a constant and the point refined again (space
-mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
+mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)). Gratings are refined on coarse solutions
+and corrected by converged ones in the same way.
 
 Thicknesses are scanned in steps below a fringe from the best points, so that the starts include the right order of
 interference. Several measurements of one sample are weighted by their own residuals (feasible generalised least
@@ -30,7 +31,7 @@ from nacre.analysis.measured import Measured, gonio_measurement, spectrum_measur
 from nacre.analysis.ties import INSTRUMENT, Ties, read_ties
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
-from nacre.families.contract import is_direct
+from nacre.families.contract import Diffracting, is_direct
 from nacre.material.material import Material
 from nacre.optimise.methods import least_squares
 from nacre.optimise.methods.least_squares import correlation
@@ -328,13 +329,15 @@ def run_fit(
     minima.sort(key=lambda each: each.loss)
     minima[0] = best_minimum = problem.corrected(minima[0])
     if progress and problem.is_corrected:
-        progress("corrected by walks", problem.relative(best_minimum.loss))
+        progress("corrected", problem.relative(best_minimum.loss))
     if isinstance(measured, fit_data.Joint):
         minima[0] = best_minimum = problem.reweighted(best_minimum)
         if progress:
             progress("reweighted", problem.relative(best_minimum.loss))
     numbers = problem.with_intervals(problem.confidence(best_minimum), best_minimum, intervals)
     fitted = problem.build(best_minimum.point)
+    if isinstance(fitted.model, Diffracting):
+        fitted = fitted.at_full_fidelity()
     residual = measured.model(fitted, samples, seed) - measured.values
     rms = float(np.sqrt(np.mean(residual**2)))
     losses = tuple(problem.relative(each.loss) for each in minima)
@@ -381,7 +384,7 @@ class _Problem:
         self.evaluations = 0
         self.is_computed = False  # at any point
         self._scale = measured.noise_scale(weights)
-        self._correction: Array | float = 0.0  # random walk minus surrogate
+        self._correction: Array | float = 0.0  # model minus surrogate
         self.is_corrected = False
         self._walk_means: Array | None = None  # `[seed, value]`, scaled results from independent walks at one point
 
@@ -404,11 +407,10 @@ class _Problem:
         self.evaluations += 1
         try:
             material = self.build(point)
-            surrogate = self._measured.surrogate(material)
-            if surrogate is None:
+            values = self._measured.surrogate(material)
+            if values is None:
                 values = self._measured.model(material, self._samples, self._seed)
-            else:
-                values = surrogate + self._correction
+            values = values + self._correction
         except NacreError:
             return np.full(self._measured.values.size, PENALTY_RESIDUAL)
         self.is_computed = True
@@ -471,13 +473,19 @@ class _Problem:
         return bool(self._material.model.traits.is_quick)
 
     def corrected(self, end: least_squares.LocalMinimum) -> least_squares.LocalMinimum:
-        """Refine a surrogate minimum with random walk differences (space mapping)."""
+        """Refine a minimum of the surrogate, or of coarse orders, with the difference of the model (space mapping)."""
         for _ in range(CORRECTIONS):
             material = self.build(end.point)
-            surrogate = self._measured.surrogate(material)
-            if surrogate is None:
+            coarse = self._measured.surrogate(material)
+            if coarse is not None:
+                fine = np.mean(self._walk(material), axis=0)
+            elif isinstance(material.model, Diffracting) and material.context.is_low_fidelity:
+                coarse = self._measured.model(material, self._samples, self._seed)
+                fine = self._measured.model(material.at_full_fidelity(), self._samples, self._seed)
+                self.evaluations += 2
+            else:
                 break
-            self._correction = np.mean(self._walk(material), axis=0) - surrogate
+            self._correction = fine - coarse
             self.is_corrected = True
             refined = self.refine(end.point)
             if refined is None:
@@ -625,7 +633,8 @@ class _Problem:
         """Return each number's variance, relative to its bounds, due to the random walk seed."""
         if self._walk_means is None:
             material = self.build(point)
-            if is_direct(material.model) or not _has_random_walk(material, self._measured.wavelengths_nm):
+            is_exact = is_direct(material.model) or isinstance(material.model, Diffracting)
+            if is_exact or not _has_random_walk(material, self._measured.wavelengths_nm):
                 return np.zeros(len(point))
             self._walk(material)
         assert self._walk_means is not None
