@@ -248,9 +248,9 @@ def _reciprocity(
 
 def _draw(out_dir: str | Path, outcomes: list[Outcome]) -> None:
     figure, ((axes,),) = canvas(1, 1)
-    for kind in dict.fromkeys(each.kind for each in outcomes):
-        here = [each for each in outcomes if each.kind == kind]
-        axes.loglog([each.stated for each in here], [max(each.found, 1e-8) for each in here], "o", ms=4, label=kind)
+    for kind, mark in zip(dict.fromkeys(each.kind for each in outcomes), "osD^v<>P*Xh", strict=True):
+        here = [each for each in outcomes if each.kind == kind and each.decides]
+        axes.loglog([each.stated for each in here], [max(each.found, 1e-8) for each in here], mark, ms=4, label=kind)
     axes.loglog([1e-6, 2e-2], [1e-6, 2e-2], "k-", lw=0.8)
     axes.set_xlabel("stated error")
     axes.set_ylabel("true error")
