@@ -207,7 +207,7 @@ BAD = {
     ),
     "a chromaticity outside all colours": (
         task(target=[{"geometry": "specular 0", "xyy": [0.3, 0, 0.2]}]),
-        "no colour",
+        "target[0].xyy = [0.3, 0.0, 0.2]",
     ),
     "a total below every layer": (
         task(parameters=None, layers={"palette": ["SiO2"], "thickness_nm": [50, 90]}, limits={"max_total_nm": 20}),

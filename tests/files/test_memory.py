@@ -234,7 +234,7 @@ def test_a_large_texture_asks_before_it_is_unpacked(tmp_path: Path, small: None)
 
     Image.new("L", (4000, 4000)).save(tmp_path / "grey.png")
     layer = {"material": "SiO2", "thickness_nm": {"texture": "grey.png", "min": 100, "max": 200}}
-    with pytest.raises(UnsupportedError, match=r"grey\.png of 4000 x 4000 pixels asks for 366 MiB"):
+    with pytest.raises(UnsupportedError, match=r"grey\.png.*4000 x 4000.*366 MiB"):
         nacre.material({"family": "film", "substrate": "Si", "layers": [layer]}, tmp_path)
 
 

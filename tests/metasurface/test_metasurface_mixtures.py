@@ -311,7 +311,7 @@ def test_what_a_mixture_cannot_be_gets_one_line():
     ("key", "value", "said"),
     [
         ("orientation", "aligned", "symmetric about the normal"),
-        ("turn_deg", 30, 'write orientation = "aligned" too'),
+        ("turn_deg", 30, 'orientation = "aligned"'),
         ("rotation_deg", 30, 'write orientation = "aligned", and turn_deg'),
     ],
 )

@@ -422,7 +422,7 @@ BROKEN = {
     "no axis": (_without("vacuum_wavelength"), "gives no wavelength"),
     "no modes": (_without("modes/l"), "does not name its modes"),
     "no unit": (lambda f: f["vacuum_wavelength"].attrs.__delitem__("unit"), "without a unit"),
-    "odd unit": (lambda f: f["vacuum_wavelength"].attrs.__setitem__("unit", "parsec"), "no unit of length"),
+    "odd unit": (lambda f: f["vacuum_wavelength"].attrs.__setitem__("unit", "parsec"), 'vacuum_wavelength in "parsec"'),
     "nan": (_scaled(np.nan), "not finite"),
     "gain": (_scaled(4.0), "radiates more"),
     "not axisymmetric": (_tilted, "of what it scatters depends on its turn"),
