@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import nacre
 from nacre.analysis.tolerance import run_tolerance
 from nacre.families.grating.material import Grating
 from nacre.matter.periodic import orders as periodic_orders
+from nacre.recipe.toml import dump_toml
 
 LINE = {"shape": "line", "material": {"n": 1.5}, "width_nm": 90}
 LINES: dict[str, Any] = {
@@ -62,3 +64,23 @@ def test_an_interrupted_tolerance_finds_its_solutions_again(monkeypatch: pytest.
     monkeypatch.setattr(periodic_orders, "solve_many", refuse)
     again = run_tolerance(made, ["layers[0].thickness_nm=5"], **options)
     np.testing.assert_array_equal(again.lab, first.lab)
+
+
+@pytest.mark.parametrize(
+    ("changes", "warns"),
+    [({}, True), ({"model": {"tolerance": 0.01}}, False), ({"lattice": {"period_nm": 300}}, False)],
+)
+def test_coarse_colours_of_two_periods_give_a_warning(
+    changes: dict[str, Any], warns: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    shape = {"shape": "line", "material": "Si", "width_nm": 140}
+    recipe = {
+        "family": "grating", "substrate": "glass", "lattice": {"period_nm": 300, "kind": "square"},
+        "layers": [{"thickness_nm": 130, "material": "air", "shapes": [shape]}],
+    }  # fmt: skip
+    (tmp_path / "pillars.toml").write_text(dump_toml(recipe | changes))  # a message appears once for each file
+    pillars = nacre.load(tmp_path / "pillars.toml")
+    pillars.at_low_fidelity(is_corrected=True)
+    assert not caplog.records
+    assert ("model.tolerance" in pillars.at_low_fidelity().model.coarse_warning) == warns
+    assert bool(caplog.records) == warns

@@ -297,7 +297,7 @@ def run_fit(
         raise NacreError(f'weights = "{weights}" is not known; choose one of {", ".join(WEIGHTS)}')
     tied = read_ties(material, [number.path for number in free]) if ties is None else ties
     paths = [*(parameter.path for parameter in free), *tied.expressions]
-    material = material.at_low_fidelity().with_parts_loaded(paths)
+    material = material.at_low_fidelity(is_corrected=True).with_parts_loaded(paths)
     measured = fit_data.joined(
         [
             p.resolved(material) if isinstance(p, fit_data.ColourData | fit_data.TextureData) else p

@@ -347,6 +347,11 @@ class Diffracting(Polarised):
     has_mirror: ClassVar[bool] = False
 
     @property
+    def coarse_warning(self) -> str:
+        """Warning about the error of coarse solutions if this model uses them for colours, or empty."""
+        return ""
+
+    @property
     @abc.abstractmethod
     def order_width_rad(self) -> float:
         """Angular standard deviation of each order."""

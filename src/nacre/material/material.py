@@ -349,13 +349,14 @@ class Material:
     def _rebuilt(self, data: Mapping[str, Any]) -> Material:
         return material_from_data(data, dataclasses.replace(self.context, text="", snapshot=None))
 
-    def at_low_fidelity(self, is_reported: bool = False) -> Material:
+    def at_low_fidelity(self, is_reported: bool = False, is_corrected: bool = False) -> Material:
         """Return the material for sweeps, searches and drafts, without an expensive method that it uses by default.
 
         A method that the recipe names is retained. Materials made of the result by `vary` have low fidelity too.
 
         Args:
             is_reported: whether the user knows of the replaced method, so that no warning is logged.
+            is_corrected: whether converged orders follow, so that coarse ones need no warning.
         """
         if self.context.is_low_fidelity or isinstance(self.model, StoredBsdf):
             return self
@@ -364,7 +365,10 @@ class Material:
                 "%s: alone it takes %s; among many it takes the quick way, unless the recipe names the slow one",
                 self.context.source, self.model.expensive_method,
             )  # fmt: skip
-        return material_from_data(self.data, dataclasses.replace(self.context, is_low_fidelity=True))
+        made = material_from_data(self.data, dataclasses.replace(self.context, is_low_fidelity=True))
+        if isinstance(made.model, Diffracting) and made.model.coarse_warning and not (is_reported or is_corrected):
+            _warn_once(self.context.source, made.model.coarse_warning)
+        return made
 
     def at_full_fidelity(self) -> Material:
         """Return the material as its recipe gives it: the inverse of `at_low_fidelity`."""

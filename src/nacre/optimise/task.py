@@ -320,7 +320,7 @@ def _recipe(spec: DesignSpec, context: RecipeContext) -> Material:
         if isinstance(spec.recipe, str):
             loaded = load(context.path(spec.recipe))
             if spec.layers is None:
-                return loaded.at_low_fidelity()
+                return loaded.at_low_fidelity(is_corrected=True)
             data, folder = dict(loaded.data), loaded.context.folder
         else:
             data, folder = dict(spec.recipe), context.folder
@@ -329,7 +329,7 @@ def _recipe(spec: DesignSpec, context: RecipeContext) -> Material:
             data["layers"] = []
             if spec.layers.substrate is not None:
                 data["substrate"] = substrates(spec.layers)[0]
-        return material(data, folder).at_low_fidelity()
+        return material(data, folder).at_low_fidelity(is_corrected=True)
     except NacreError as error:
         said = str(error).removeprefix("recipe: ").removeprefix(f"{context.source}: ")
         raise RecipeError(
