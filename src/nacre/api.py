@@ -143,8 +143,8 @@ def orders(
 
     Args:
         thing: a material, or a recipe path, an example's name or a recipe's table.
-        angles_deg: of incidence in the ambient.
-        azimuth_deg: of the direction to the light, from x (across the lines) towards y.
+        angles_deg: incidence angles in the ambient.
+        azimuth_deg: azimuth of the direction towards the light, from x (across the lines) towards y.
         wavelengths_nm: default: the material's own.
 
     Raises:
@@ -360,7 +360,7 @@ def fabricate(
         levels: number of heights of a mask; default: that of the relief, or 16. For maps: value count.
         pixels_per_feature: pixels along a feature's side, for images.
         base_um: thickness of an STL's base.
-        seed: of random positions; default: the recipe's.
+        seed: seed for random positions; default: the recipe's.
 
     Returns:
         paths of the files; `path` is the first.

@@ -198,7 +198,7 @@ def diagnose(
         tolerances: from `recipe_tolerances`; their standard deviations are the prior.
         observations: measured spectra and colours.
         noise: standard deviation of the measured values: one number, or one (or an array) per observation.
-        samples, seed: of random walks.
+        samples, seed: random-walk settings.
         progress: called with (done, total) causes.
 
     Raises:
@@ -535,8 +535,8 @@ def stack_batch(
     """Return the batch, or None if it does not give the same values as the material itself.
 
     Args:
-        make: from path -> number to the material.
-        causes: of variation.
+        make: function from path -> number to the material.
+        causes: the causes of variation.
         observations: measured spectra.
         simulated: values `[value]` of observations of one material.
     """

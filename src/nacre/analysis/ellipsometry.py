@@ -288,7 +288,7 @@ class EllipsometryData:
 
     Attributes:
         name: file, for reports.
-        row_wavelengths_nm, angles_deg: of each row, `[row]`.
+        row_wavelengths_nm, angles_deg: wavelength and incidence angle, `[row]`.
         quantities: names of the compared quantities: `ncs_n`, `ncs_c`, `ncs_s` or `m12` to `m44`.
         values: measured, `[quantity, row]`.
         errors: standard errors, shaped as `values`; None if the file states none.

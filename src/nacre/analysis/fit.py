@@ -66,7 +66,7 @@ class FittedNumber:
     """Fitted value with its 95 % interval, and whether the data determine it.
 
     Attributes:
-        half_width: of the linear interval.
+        half_width: half width of the linear interval.
         interval: by `method`: `linear`, `profile` or `resampling`.
     """
 
@@ -110,7 +110,7 @@ class Fit:
         starts: final loss per start, best first; several equal ones indicate a global minimum.
         evaluations: computed materials.
         tied: values of the tied numbers.
-        correlation: of the numbers, `[number, number]`; NaN where undetermined.
+        correlation: correlation matrix, `[number, number]`; NaN for undetermined numbers.
         parts: agreement with each file.
     """
 
@@ -139,7 +139,7 @@ def read_measurements(
     Args:
         colours: geometry -> CIELAB under D65 with the 10 degree observer.
         texture: quantity, such as "sparkle_45", -> measured number.
-        instrument: of texture, a TOML file or its keys.
+        instrument: texture instrument, a TOML file or its keys.
         options: properties that the files do not state.
         range_nm: rows of other wavelengths are ignored.
 

@@ -155,7 +155,7 @@ class ColourData:
         values: `[geometry, 3]`.
         light: illuminant and observer.
         name: file, for reports.
-        geometries: of the labels; empty before `resolved`.
+        geometries: geometries for the labels; empty before `resolved`.
     """
 
     labels: tuple[str, ...]

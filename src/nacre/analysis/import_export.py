@@ -72,8 +72,8 @@ def export_material(
         output: the file; for "three" and "lut" a folder, which is new, empty or holds such tables.
         angle_step_deg: step of the direction grid of csv, astm, brdf-json and speos.
         wavelength_nm: for a monochrome zemax file.
-        illuminant: of the colours of lut and three.
-        mesh: of gltf: the object that has the material, a mesh file (.gltf, .glb, .obj, .ply, .stl); default: a sphere.
+        illuminant: illuminant for colours in lut and three.
+        mesh: for gltf, the object with the material: a mesh file (.gltf, .glb, .obj, .ply, .stl); default: a sphere.
         progress: called with a description of each step of lut and three.
 
     Raises:

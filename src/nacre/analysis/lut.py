@@ -616,7 +616,7 @@ def _pair(names: list[str | None]) -> tuple[str | None, str | None]:
 
 
 def _joined(responses: list[InterfaceResponse]) -> InterfaceResponse:
-    """Return one interface for a rough free-standing film, whose facets reflect and which transmits directly.
+    """Merge a rough free-standing film's responses, reflection by facets and direct transmission, into one.
 
     Raises:
         UnsupportedError: the lobes do not match.

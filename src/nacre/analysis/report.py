@@ -93,7 +93,7 @@ class Report:
 
     Attributes:
         name: recipe name.
-        illuminant, observer: of all colours; flop index, gloss and haze use those of their standards.
+        illuminant, observer: for all colours; flop index, gloss and haze use the ones in their standards.
         aspecular: colours at 45 degree incidence, at the standard aspecular angles.
         specular: colours of the mirror direction over incidence; None without a specular part.
         geometries: colours at further requested geometries; None if there are none.
@@ -158,8 +158,8 @@ def make_report(
 
     Args:
         thing: a material, or a recipe path, `.nacre` file or design folder, an example's name or a recipe's table.
-        illuminant, observer: of the colours.
-        samples, seed: of random walks.
+        illuminant, observer: for the colours.
+        samples, seed: random-walk settings.
         geometries: further aspecular geometries, "45as25az90" or "NAME=45as25az90", in addition to the aspecular ones
             of the recipe's `[[geometry]]`.
 
@@ -356,7 +356,7 @@ class Comparison:
 
     Attributes:
         name: sample name.
-        formula: of `nacre.light.colour_difference`.
+        formula: a formula of `nacre.light.colour_difference`.
         tables: table name -> differences `[angle]`.
         labels: table name -> geometry names `[angle]`.
         limits: geometry -> largest accepted difference; geometries without a limit are not evaluated.

@@ -64,8 +64,8 @@ class RunSheet:
     """Run sheet.
 
     Attributes:
-        name: of the recipe.
-        quantity: "reflectance" or "transmittance"; wavelength_nm, angle_deg: of the monitor.
+        name: recipe name.
+        quantity: "reflectance" or "transmittance"; wavelength_nm, angle_deg: monitor light.
         noise: the signal's standard deviation.
         layers: in order of deposition.
     """
@@ -89,7 +89,7 @@ def make_run_sheet(
 
     Args:
         thing: a material or a path.
-        wavelength_nm, angle_deg: of the monitor light, which is unpolarised.
+        wavelength_nm, angle_deg: monitor light, which is unpolarised.
         quantity: "reflectance" or "transmittance" (into the substrate).
         noise: the signal's standard deviation.
 

@@ -437,7 +437,7 @@ class SweepColours:
         parts: all parts in the store.
         angles_deg: `[angle]`, incidence.
         xyz, lab: `[axis 0, axis 1, ..., angle, 3]` of a grid, `[point, angle, 3]` otherwise; NaN for missing points.
-        illuminant, observer: of the colours.
+        illuminant, observer: for the colours.
         recipe: the recipe's text; source: the sweep's file name.
         labels: geometry names rather than angles, which then are their numbers.
     """
@@ -536,7 +536,7 @@ def save_sweep_figure(
         kind: one of `SWEEP_KINDS`.
         path: a PNG, PDF or SVG.
         angles_deg: stored angles; default: the first, or up to four of them.
-        part: of the spectrum; default: the brightest stored.
+        part: spectrum part; default: the brightest stored.
 
     Raises:
         NacreError: not a sweep, an angle that is not stored, or an unsuitable kind.

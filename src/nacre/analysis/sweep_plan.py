@@ -222,7 +222,7 @@ class Measurement:
 
     Attributes:
         angles_deg: incidence angles in the ambient medium.
-        illuminant, observer: of the colours.
+        illuminant, observer: for the colours.
         wavelengths_nm: grid of stored spectra, or None to store colours only.
         parts: parts of the spectrum.
         geometries: (name, geometry) at which colours are stored as well.

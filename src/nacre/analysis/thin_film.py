@@ -233,7 +233,7 @@ class ThicknessMapFit:
     """The film, its map, and the residual dE00.
 
     Attributes:
-        fit: of one value of the number.
+        fit: the fit with one value for the whole map.
         thickness: the map.
         values: the number.
         residual: mean over the angles, for each value.

@@ -106,7 +106,7 @@ class Model(abc.ABC):
             theta_rad: `[angle]` in the ambient, in [0, pi/2].
             wavelengths_nm: `[wavelength]`; default: `self.wavelengths_nm`.
             polarisation: "s", "p" or "both".
-            seed: of random walks.
+            seed: random-walk seed.
 
         Raises:
             UnsupportedError: the polarisation is not known for a part of the spectrum.
@@ -239,7 +239,7 @@ class Surrogate(abc.ABC):
             wi, wo: `[pair, 3]`, above the surface.
             wavelengths_nm: `[wavelength]`.
             walks: number per light direction.
-            seed: of the random numbers; different seeds give independent noise.
+            seed: random seed; different seeds give independent noise.
         """
         return None
 
@@ -308,7 +308,7 @@ class SearchFidelity(abc.ABC):
         """Return the model for a search among similar candidates.
 
         Args:
-            memory: shared by the candidates; caches quantities that hardly change between them.
+            memory: cache, shared by the candidates, for quantities that hardly change between them.
             is_rough: omit the most expensive part without effect on the ranking of first draws.
         """
 
@@ -362,7 +362,7 @@ class Diffracting(Polarised):
 
         Args:
             theta_rad: `[angle]` of incidence in the ambient.
-            azimuth_rad: of the direction to the light.
+            azimuth_rad: azimuth of the direction towards the light.
             wavelengths_nm: `[wavelength]`; default: `wavelengths_nm` of the model.
         """
 

@@ -716,10 +716,10 @@ def write_three(
 
     Args:
         folder: new, empty, or with an earlier package.
-        name: of the material.
+        name: material name.
         parts: one, or both materials of a blend.
         lost: properties that the package does not hold.
-        share: of the first one of two.
+        share: the first material's share in a blend.
 
     Raises:
         NacreError: the folder contains other files or cannot be written.

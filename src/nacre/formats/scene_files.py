@@ -261,7 +261,7 @@ def write_usd(path: str | Path, document: ET.Element, comment: str = "") -> None
 
     Args:
         document: a `materialx` element with surface shaders, graphs and one material, as nacre writes it.
-        comment: of the layer.
+        comment: comment for the layer.
 
     Raises:
         NacreError: the file cannot be written.

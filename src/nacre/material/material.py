@@ -515,9 +515,9 @@ class _NestedLoader:
     """Loads a recipe nested in another one.
 
     Attributes:
-        context: of the outer recipe, without a loader.
+        context: the outer recipe's context, without a loader.
         folder: base of relative paths.
-        depth: of the nested recipe.
+        depth: nesting depth.
     """
 
     context: RecipeContext

@@ -61,7 +61,7 @@ def colour_spectrum(
         material: anything with `spectrum` and `bsdf`.
         theta_rad: `[angle]`.
         illuminant: lamp name.
-        seed: of a random walk.
+        seed: random-walk seed.
         wavelengths_nm: grid chosen by the user, which is used unchanged.
     """
     grid = colour_grid(material, illuminant) if wavelengths_nm is None else wavelengths_nm
@@ -144,7 +144,7 @@ def geometry_colours(
 
     Args:
         material: anything with `spectrum`, `bsdf` and `values_at`.
-        samples, seed: of random walks.
+        samples, seed: random-walk settings.
 
     Raises:
         NacreError: the material cannot be computed.

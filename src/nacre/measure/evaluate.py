@@ -220,7 +220,7 @@ def hemispherical(
 
     Args:
         nodes: per coordinate; random walks use `nodes`^2 paths.
-        seed: of random walks; another seed gives independent noise.
+        seed: random-walk seed; another seed gives independent noise.
 
     Returns:
         power `(to the side of wi, to the other side)`, each `[wavelength]`.
@@ -267,7 +267,7 @@ def directional_hemispherical(bsdf: Bsdf, wi: Array, uv: Array | None = None, no
 
     Args:
         wi: `[..., 3]`, unit vectors towards the light.
-        nodes: of the quadrature, per coordinate.
+        nodes: quadrature nodes per coordinate.
 
     Returns:
         `(reflected, transmitted)`, each `[..., wavelength]`.
@@ -294,9 +294,9 @@ def bsdf_spectrum(
 
     Args:
         theta_rad: `[angle]`, in the ambient.
-        seed: of random walks; another seed gives independent noise.
+        seed: random-walk seed; another seed gives independent noise.
         diffuse: whether diffuse parts are computed, by integration over all exit directions.
-        nodes: of the quadrature, per coordinate; a random walk uses `nodes`^2 paths.
+        nodes: quadrature nodes per coordinate; a random walk uses `nodes`^2 paths.
     """
     theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
     warn_of_table(bsdf, theta)
@@ -361,14 +361,14 @@ class CircularReflection:
 
 @dataclass(frozen=True)
 class SelectiveBand:
-    """The band in which one hand is reflected.
+    """Band in which one handedness is reflected.
 
     Attributes:
         hand: "right" or "left".
         peak_nm: wavelength of the largest difference.
         low_nm, high_nm: where the difference is half of the largest.
-        reflectance: of that hand at the peak.
-        other_reflectance: of the other hand at the peak.
+        reflectance: reflectance for that hand at the peak.
+        other_reflectance: reflectance for the other hand at the peak.
         dissymmetry: |g| at the peak.
     """
 

@@ -116,10 +116,10 @@ class Geometry:
         kind: "specular", "transmitted", "diffuse", "hemispherical" or "aspecular".
         theta_deg: incidence angle.
         aspecular_deg: angle of the viewer from the mirror direction, towards the light.
-        azimuth_deg: of the viewer about the mirror direction: 180 in the plane of incidence towards the light, 0 away
+        azimuth_deg: viewer azimuth about the mirror direction: 180 in the plane of incidence towards the light, 0 away
             from it. In this notation of 12-angle instruments 45as60az125.3 is a viewer 45 degrees from the normal,
             across the plane of incidence.
-        polarisation: of the incident light, "s", "p", "left", "right" or "both" (unpolarised).
+        polarisation: incident polarisation: "s", "p", "left", "right" or "both" (unpolarised).
     """
 
     kind: str

@@ -62,7 +62,7 @@ class Area:
     """A part of the surface with the same flakes everywhere.
 
     Attributes:
-        share: of the surface.
+        share: area fraction.
         flakes: its pigments.
         mean: its mean luminance.
     """
@@ -389,12 +389,12 @@ def measure_image(image: Array, pixels: Pixels) -> Sparkle:
     whole = _numbers(*of(None))
     left_out = np.array([_numbers(*of(k)) for k in range(len(blocks))])
     errors = math.sqrt(len(blocks) - 1.0) * left_out.std(axis=0)
-    # of one sparkling pixel; without any, the intensity is not known
+    # errors due to one sparkling pixel; without any, the intensity is unknown
     least = (
         0.0 if whole[1] > 0 else math.inf,
         100.0 / image.size,
         pixels.threshold * image.mean() / math.sqrt(image.size),
-    )  # of one sparkling pixel
+    )
     return Sparkle(*whole, *(float(max(pair)) for pair in zip(errors, least, strict=True)))
 
 
@@ -633,7 +633,7 @@ def graininess_patch(
         areas: as for `graininess_statistics`.
         distance_mm: viewing distance.
         field_mm: field side, drawn as 16 periodic tiles.
-        seed: of the flakes.
+        seed: flake seed.
     """
     generator = np.random.default_rng(seed)
     side_mm = field_mm / math.sqrt(TILES)

@@ -177,16 +177,16 @@ class Texture:
     """Texture of one material.
 
     Attributes:
-        name: of the recipe.
+        name: recipe name.
         method: "statistics" or "patch".
         sparkle: angle of the lamp in degrees -> sparkle.
-        graininess: under diffuse light.
+        graininess: graininess under diffuse light.
         luminance: angle -> mean luminance factor and its standard error; "diffuse" under diffuse light.
         calibrated: quantity, such as "sparkle_45" -> value on the instrument's scale.
         extrapolated: calibrated quantities outside of their measured pairs.
         instrument: lamp, camera and definitions.
-        images: of the patches, angle or "diffuse" -> luminance factors `[row, column]`; empty for "statistics".
-        seed: of the random numbers.
+        images: patches, angle or "diffuse" -> luminance factors `[row, column]`; empty for "statistics".
+        seed: random seed.
     """
 
     name: str
@@ -258,8 +258,8 @@ def texture_values(
 
     Args:
         material: anything with `name`, `model` and `context`.
-        quantities: of one instrument and light.
-        seed: of random walks.
+        quantities: quantities with one instrument and light.
+        seed: random-walk seed.
         fidelity: "search" has half the nodes and 9 wavelengths, 0.05 CPU s, "scout" also means by two streams, 0.02.
 
     Raises:
@@ -330,8 +330,8 @@ def measure_texture(
         material: anything with `name`, `model` and `context`; each of its flakes has a diameter.
         instrument: lamp, camera and calibration, a TOML file or its keys; default: `Instrument()`.
         method: "statistics", in closed form, or "patch", from drawn flakes.
-        illuminant, observer: of the luminance.
-        seed: of random walks and drawn flakes.
+        illuminant, observer: for the luminance.
+        seed: seed for random walks and drawn flakes.
 
     Raises:
         UnsupportedError: the material lacks flakes, or their diameters.

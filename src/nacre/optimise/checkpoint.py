@@ -27,9 +27,9 @@ class Checkpointer:
     """Writes the search state, at intervals unless forced.
 
     Attributes:
-        folder: of the design.
-        fingerprint: of the task; a checkpoint of another one is refused.
-        runs: how often the search has been started, this run included.
+        folder: design folder.
+        fingerprint: the task's fingerprint; checkpoints of other tasks are refused.
+        runs: number of starts, this run included.
         solutions: recipe changes by path, best first; or the candidates of another search.
         progress: how far the search is.
     """
@@ -95,9 +95,9 @@ class DesignFolder(abc.ABC, Generic[Answer]):
     """A running search, and the folder that always holds its best solution.
 
     Attributes:
-        folder: of the files.
+        folder: output folder.
         search: the method.
-        checkpointer: of the search state.
+        checkpointer: writes the search state.
         seconds: time limit.
         jobs: threads of a search that uses several; default: all cores.
     """

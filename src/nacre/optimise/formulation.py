@@ -81,8 +81,8 @@ class Ingredient:
     """A pigment or a dye in a paint.
 
     Attributes:
-        entry: of the library.
-        path: of its volume fraction in the recipe.
+        entry: library entry.
+        path: recipe path of its volume fraction.
     """
 
     entry: PigmentSpec | DyeSpec
@@ -159,7 +159,7 @@ class Rematch:
         batch: ingredient -> volume fraction, estimated from the batch's colours.
         additions: ingredient or "resin" -> volume to add, per volume of the batch (dry).
         amounts: volume fractions after the additions.
-        cost_per_kg_of_batch: of the additions.
+        cost_per_kg_of_batch: cost of the additions.
         de00_before, de00_after: `[geometry]`, by the noise-free model.
     """
 
@@ -403,7 +403,7 @@ class _Paint:
         return texture_values(made, self.task.quantities, fidelity=fidelity)[0]
 
     def texture_model(self, at: Array) -> TextureModel | None:
-        """Return texture values `[quantity]` by volume fractions, as products of powers about a point."""
+        """Return a power-law model of texture values `[quantity]` in the volume fractions about a point."""
         if not self.task.quantities:
             return None
         centre = np.array(self.fractions(at))

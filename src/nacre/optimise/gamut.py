@@ -165,9 +165,9 @@ def find_gamut(
             or another one that applies.
         points: material count. The same count and seed give the same result.
         seconds: time limit, after which the colours found so far are returned; default: unlimited.
-        illuminant, observer: of the colours.
+        illuminant, observer: for the colours.
         tolerance: dE00 within which a colour counts as reached.
-        samples, seed: of random walks; the seed also determines the materials.
+        samples, seed: random-walk settings; the seed also determines the materials.
         progress: called with (done, points).
 
     Raises:

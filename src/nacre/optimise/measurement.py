@@ -56,7 +56,7 @@ def simulate_measurement(
 
     Args:
         wavelengths_nm: ascending; default: the material defaults.
-        samples, seed: of Monte Carlo estimates.
+        samples, seed: Monte Carlo settings.
         memory: cache of a search, shared by its candidates; they are then evaluated at the required directions only,
             if the family can. None: the reference model.
         is_rough: with a cache, whether a ranking is sufficient.

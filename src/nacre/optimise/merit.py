@@ -20,7 +20,7 @@ from nacre.light import delta_e_2000, delta_e_2000_components, lab_to_lch, lch_t
 
 Kind = Literal["colour", "hue", "chroma", "lightness", "spectrum", "texture"]
 
-KINDS: tuple[Kind, ...] = ("colour", "hue", "chroma", "lightness", "spectrum")  # of the compiled merit function
+KINDS: tuple[Kind, ...] = ("colour", "hue", "chroma", "lightness", "spectrum")  # in the compiled merit function
 SINGLE: tuple[Kind, ...] = ("spectrum", "texture")  # without a lamp
 MEAN_SHARE = 1e-3  # weight of the mean in the objective: it decides between equal worst distances
 GRID_POINTS, GRID_ROUNDS = 17, 5  # search for the nearest colour within ranges
@@ -69,8 +69,8 @@ class MeritFunction:
         operands: one or more.
         lamps: names of `nacre.light.ILLUMINANTS`; colours are targets under each of them.
         observer: "2deg" or "10deg".
-        wavelengths_nm: of the spectra, ascending. Between them a spectrum is a cubic spline: 16 to 40 samples give the
-            colour that the same spectrum has in steps of 1 nm.
+        wavelengths_nm: spectral samples, ascending. Spectra are interpolated by a cubic spline: 16 to 40 samples give
+            the same colour as 1 nm steps.
 
     Attributes:
         terms: `[(operand, lamp)]`, indices, in the order of `distances`. A spectrum, texture, and a colour given by

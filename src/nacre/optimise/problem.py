@@ -221,7 +221,7 @@ class Search(abc.ABC):
     Attributes:
         archive: distinct solutions.
         best, best_changes: smallest objective, and its recipe changes.
-        budget: of the run.
+        budget: the run's budget.
     """
 
     default_evaluations: float

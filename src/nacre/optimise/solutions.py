@@ -112,7 +112,7 @@ class Design:
     """A finished (or cleanly stopped) design.
 
     Attributes:
-        folder: of its files; None if they were not written.
+        folder: output folder; None if files were not written.
         status: "met", "out of reach" (the budget ended before all targets were met) or "interrupted"; of a relief
             "done", "time limit" or "interrupted".
         message: the outcome as a sentence.

@@ -48,7 +48,7 @@ class Target:
     """One target.
 
     Attributes:
-        geometry: of illumination and observation.
+        geometry: illumination and observation.
         asked: the file's entry as JSON data: {"colour": "#c2185b"}.
         lab: `[3]`, target under every lamp, or None.
         xyz: `[3]`, target under the first lamp, or None.
@@ -148,7 +148,7 @@ def read_targets(
 
     Args:
         named: geometries by name.
-        instrument: of texture targets, a file or its keys.
+        instrument: instrument for texture targets, a file or its keys.
 
     Raises:
         RecipeError: naming the target and the allowed values; or two incompatible colours for one geometry.
@@ -290,7 +290,7 @@ def _spectrum(given: FileSpec, where: str, kind: str, context: RecipeContext) ->
     """Return a target spectrum `[2, wavelength]`: nm and factors.
 
     Args:
-        kind: of the geometry; light transmitted has a transmittance, other light a reflectance.
+        kind: the geometry's kind; "transmitted" needs a transmittance, others a reflectance.
     """
     said = f"{where} = {show_value(given.file)}"
     quantities = ("transmittance", "reflectance") if kind == "transmitted" else ("reflectance",)

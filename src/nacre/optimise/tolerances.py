@@ -18,7 +18,7 @@ from nacre.recipe.paths import expand_table
 DISTRIBUTIONS = ("gaussian", "uniform")
 
 
-TIED, INDEPENDENT = "tied", "independent"  # sources of deviations that name none
+TIED, INDEPENDENT = "tied", "independent"  # default sources of deviations
 LEAST_EIGENVALUE = -1e-9  # rounding of a correlation matrix that is singular
 FAR, SMALL = 10.0, 1e-3  # in deviations: beyond every draw; step below 0 to test whether negative values are allowed
 BY_MATERIAL = "material"  # group: all layers of one material deviate together
@@ -34,7 +34,7 @@ class Tolerance:
         deviation: standard deviation (gaussian) or half width (uniform), in the number's unit.
         distribution: "gaussian" or "uniform".
         group: numbers of one group deviate together, by one random factor; "": independent of all others.
-        source: cause in the machine, by which contributions are summed; "": `TIED` or `INDEPENDENT`.
+        source: manufacturing cause, by which contributions are summed; "": `TIED` or `INDEPENDENT`.
         is_signed: whether the recipe allows values below 0, such as angles; other values end at 0.
     """
 
@@ -58,7 +58,7 @@ class Component:
 
     Attributes:
         name: path, or group name.
-        tolerances: of the numbers that it changes.
+        tolerances: tolerances of the affected numbers.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Component:
 
     @property
     def source(self) -> str:
-        """Cause in the machine."""
+        """Manufacturing cause."""
         return self.tolerances[0].source or (TIED if self.tolerances[0].group else INDEPENDENT)
 
     def values(self, factor: float) -> dict[str, float]:

@@ -34,8 +34,8 @@ class Evaluator:
     """Evaluates variants of one material at fixed geometries: stacks all at once, others one by one.
 
     Attributes:
-        correction: of the surrogate by the final Monte Carlo estimate, shared by all variants: separate estimates
-            would differ by their noise.
+        correction: surrogate correction from the final Monte Carlo estimate, shared by all variants: separate
+            estimates would differ by their noise.
     """
 
     material: Material

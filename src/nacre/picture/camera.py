@@ -145,8 +145,8 @@ class Framing:
         Args:
             view: the camera.
             radius: the subject's, about the target.
-            points: `[N, 3]`, to be in the frame of a changed direction before magnification; None: no condition.
-            size: of the picture's frame.
+            points: `[N, 3]`, visible from a changed direction before magnification; None: not constrained.
+            size: picture size.
 
         Raises:
             NacreError: the camera would be below the floor.

@@ -350,7 +350,7 @@ def superellipse(x: Array, y: Array, power: float) -> Array:
 
 
 def ellipsoid(x: Array, y: Array, z: Array, centre: tuple[float, ...], size: tuple[float, ...]) -> Array:
-    """Ellipsoid with semi-axes `size`, scaled to about the distance."""
+    """Implicit ellipsoid with semi-axes `size`, scaled to the approximate distance."""
     d = np.sqrt(((x - centre[0]) / size[0]) ** 2 + ((y - centre[1]) / size[1]) ** 2 + ((z - centre[2]) / size[2]) ** 2)
     return (d - 1) * min(size)
 

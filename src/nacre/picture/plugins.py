@@ -164,7 +164,7 @@ class ContinuedSampler(Plugin):
         return key, _scrambled(dr.brev(self.index), key)
 
     def next_1d(self, active: Any = True, of_pixel: bool = False) -> Any:
-        """Return a number; with `of_pixel` an individual one for each pixel, also if `alike`."""
+        """Return a number in [0, 1); `of_pixel` makes it independent for each pixel even if `alike`."""
         key, index = self._next(of_pixel)
         return _unit(_scrambled(index, _hashed(key, mi.UInt32(1))))
 

@@ -161,7 +161,7 @@ def colours(
     Args:
         data: `L`, `a`, `b`; `X`, `Y`, `Z` with Y of white = 100; `srgb`, `[colour, 3]` in 0 to 1; or `spectra`,
             `[colour, wavelength]`, with `wavelength_nm`.
-        illuminant, observer: of L*a*b* and XYZ; None where the file does not state them: D50 and 2 degrees are assumed.
+        illuminant, observer: reference for L*a*b* and XYZ; None (not stated in the file): D50 and 2 degrees.
 
     Raises:
         NacreError: there is no colour, or a number is not finite.

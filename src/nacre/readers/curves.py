@@ -31,8 +31,8 @@ class Axis:
 
     Attributes:
         label: for messages, with its unit.
-        quantities: of the vocabulary, any of which is taken.
-        unit: to which it is converted, and of numbers without one; "" for pure numbers, per cent becomes a factor.
+        quantities: accepted quantities from the vocabulary.
+        unit: target unit, also assumed for numbers without one; "" for pure numbers, per cent becomes a factor.
     """
 
     label: str

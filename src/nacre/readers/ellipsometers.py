@@ -465,7 +465,7 @@ DERIVED = ("pseudo_eps1", "pseudo_eps2", "reflectance")
 
 
 def sniff_nacre_ellipsometry(head: FileHead) -> float:
-    """Return 1 for the command's headings."""
+    """Return 1 for headings that nacre writes."""
     return CERTAIN if head.lines and tuple(_names_nacre_ellipsometry(head.lines[0])[: len(START)]) == START else 0.0
 
 

@@ -477,7 +477,7 @@ def _first(lines: list[str]) -> int:
 
 
 def sniff_nacre_table(head: FileHead) -> float:
-    """Return 1 for the first headings of the commands."""
+    """Return 1 for the first headings of a table that nacre writes."""
     return CERTAIN if head.lines and _table_of(head.lines[_first(list(head.lines))]) else 0.0
 
 

@@ -124,7 +124,7 @@ def row_of_numbers(path: Path, number: int, line: str, words: Iterable[str]) -> 
     """Return the numbers in the words of a line.
 
     Args:
-        number, line: of the file, for the message.
+        number, line: line number and text, for the message.
 
     Raises:
         NacreError: a word is not a number.
@@ -730,7 +730,7 @@ def _find_headings(
 
 
 def _names_columns(cells: list[str], above: list[_Line], line: _Line) -> bool:
-    """Whether a row of bare units ("nm", "n", "k") is the headings themselves: nothing above it could be."""
+    """Whether a row such as "nm", "n", "k" holds the headings: no line just above has as many words."""
     if any(cell[:1] in "([" for cell in cells):
         return False
     place = above.index(line)

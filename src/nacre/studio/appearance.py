@@ -225,7 +225,7 @@ def appearances(
     Args:
         illuminant: lamp, such as "D65".
         is_superseded: polled during a long solution.
-        incidence: of the light on a film that mixes polarisations; other materials ignore it.
+        incidence: light azimuth and polarisation on a film that mixes polarisations; other materials ignore it.
 
     Raises:
         NacreError: the material cannot be solved.

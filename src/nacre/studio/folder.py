@@ -315,8 +315,8 @@ class Incidence:
     """The light on the material.
 
     Attributes:
-        azimuth_deg: azimuth of the direction towards the light, from u; of all colours and spectra.
-        polarisation: of the spectra in the chart; colours are those of unpolarised light.
+        azimuth_deg: azimuth of the direction towards the light, from u, for all colours and spectra.
+        polarisation: for the spectra in the chart; colours use unpolarised light.
     """
 
     azimuth_deg: float = 0.0

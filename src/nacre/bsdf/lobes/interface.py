@@ -324,7 +324,7 @@ class AlignedMicrofacet(Microfacet):
 
     Attributes:
         response: the tables, as of `AlignedSpecular`.
-        loss, exchange: of the mean over the azimuth.
+        loss, exchange: values for the azimuthal mean.
     """
 
     kind: ClassVar[str] = "aligned-microfacet"

@@ -42,7 +42,7 @@ class OrdersLobe(Lobe):
         orders: `[order, 2]`, (m, n).
         width: w.
         rotation: angle of the lattice about the normal, rad, from +x to +y.
-        eta: of transmitted orders, index below over index above; 0 for reflected orders.
+        eta: index below over index above for transmitted orders; 0 for reflected orders.
         parameters: the period over the surface, if it varies; wave vectors follow it exactly, E between its nodes.
     """
 

@@ -540,8 +540,8 @@ class LitFacet:
     """A facet in place of an interaction, for reading tables over the azimuth.
 
     Attributes:
-        wavelengths: of the ray.
-        wi: the direction to the light in the facet's frame, turned back to the surface's x axis; only x and y count.
+        wavelengths: the ray's wavelengths.
+        wi: direction towards the light in the facet's frame, rotated back to the surface's x axis; only x, y are used.
     """
 
     wavelengths: Any

@@ -176,7 +176,7 @@ class LayerBuilder:
     """Builds the layers of a recipe.
 
     Attributes:
-        context: of the recipe.
+        context: recipe context.
         medium: builds a material with the recipe's rule for extrapolation.
     """
 
@@ -250,8 +250,8 @@ def with_interface_layers(
     Args:
         layers: from the light inward.
         ends: ambient and substrate.
-        roughness_nm: of all interfaces, or one each, from the light inward.
-        context: of the recipe, for messages.
+        roughness_nm: one roughness, or one for each interface from the light inward.
+        context: recipe context, for messages.
 
     Raises:
         RecipeError: a wrong value count; an anisotropic or varying layer at a rough interface; a layer thinner

@@ -239,8 +239,8 @@ def schulz_sizes(mean: float, deviation: float, count: int) -> tuple[Array, Arra
     f(s) ~ s^t exp(-(t + 1) s / mean) with t = (mean / deviation)^2 - 1, at Gauss nodes.
 
     Args:
-        mean, deviation: of the size.
-        count: nodes.
+        mean, deviation: mean and standard deviation of the size.
+        count: number of nodes.
     """
     if deviation <= 0:
         return np.array([mean]), np.ones(1)

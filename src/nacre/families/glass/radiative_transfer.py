@@ -276,7 +276,7 @@ def brdf_table(medium: Medium, band: int, slab: Slab, theta: Array, dphi: Array)
     """Tabulate the diffuse BRDF at one wavelength, `[theta_i, theta_o, dphi]`, in 1/sr.
 
     Args:
-        medium, band: of the solved slab.
+        medium, band: medium and wavelength index of the solved slab.
         slab: with several modes.
         theta: outer angles, rad, in [0, pi/2].
         dphi: azimuth from the light to the viewer, rad; 0: retroreflection.

@@ -97,13 +97,13 @@ def walk(
     """Walk through a slab.
 
     Args:
-        medium: of the slab.
-        thickness_nm: of the slab.
+        medium: slab medium.
+        thickness_nm: slab thickness.
         base: `[wavelength]`, albedo of a diffuse base in contact; None: the ambient lies below.
         cos_i: incidence cosine in the ambient, above 0.
-        walkers: for each wavelength.
+        walkers: walks for each wavelength.
         upper, lower: faces of the slab, the lower one of an open slab.
-        bins: of the exit cosine.
+        bins: bins in the exit cosine.
         seed: another seed gives independent noise.
     """
     quantiles = medium.quantiles()

@@ -202,7 +202,7 @@ def interpolation_error(table: TableLobe, medium: Medium, slabs: list[Slab]) -> 
     """Return the relative L2 error of a table's f cos against transfer, over pairs of all directions.
 
     Args:
-        table, medium, slabs: of `diffuse_table`.
+        table, medium, slabs: result and arguments of `diffuse_table`.
     """
     bands = _checked(medium)
     draws = np.random.default_rng(7).random((2, CHECK_PAIRS, 2))
@@ -268,10 +268,10 @@ def walk_error(
     """Return the relative L2 error of a table over the polar angle against random walks, at a few wavelengths.
 
     Args:
-        table: of `diffuse_table`.
+        table: result of `diffuse_table`.
         medium: at all wavelengths.
         thickness_nm, albedo, surface: slab thickness, base `[wavelength]` and face.
-        seed: of the walks.
+        seed: random-walk seed.
     """
     bands = _checked(medium)
     few = medium.at(bands)

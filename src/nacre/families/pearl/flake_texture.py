@@ -79,7 +79,7 @@ class FlakeTexture:
     """The flakes of a pearl at given wavelengths.
 
     Args:
-        strata: of the pearl, from the light inward; each of their pigments has a diameter.
+        strata: the pearl's strata from the light inward; each pigment has a diameter.
         glints: spread of the diameters and flatness of the flakes, or None for the defaults.
         wavelengths_nm: `[wavelength]`, vacuum.
         weights: `[wavelength]`, whose sum with a reflectance factor is the luminance factor.

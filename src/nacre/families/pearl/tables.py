@@ -76,7 +76,7 @@ def power_difference(
         lobe, table: the same pearl.
         theta_rad: `[angle]`, incidences.
         effort: factor on the walks.
-        seed: of the walks.
+        seed: random-walk seed.
     """
     spread = _spread(random_walk.Medium.of(lobe))
     parts = _independent_walks(lobe, theta_rad, (POWER_WALKS, POWER_WALKS), effort, seed).sum(axis=2)

@@ -249,7 +249,7 @@ class Blocks:
         """Return why the blocks cannot be solved with `most` unknowns, or nothing.
 
         Args:
-            index: of the body, at the shortest wavelength in the medium above.
+            index: the body's index, at the shortest wavelength in the medium above.
         """
         if not self.is_vertical:
             return f"walls that a blur of {self.blur_nm:.3g} nm slopes, of heights that vary along x and y"

@@ -122,7 +122,7 @@ class PatternMatrices:
     """Multiplication by the functions that describe the shapes, between the functions of the components of a field.
 
     Attributes:
-        inside: of each shape, multiplication by the function that is 1 inside: for E_x, E_y and E_z.
+        inside: for each shape, multiplication by its indicator function, for E_x, E_y and E_z.
         xx, yy, xy: multiplication by the products of the faded normals of the walls.
     """
 
@@ -511,7 +511,7 @@ class _Functions:
     Attributes:
         places: (m, n) -> row of the maps.
         numbers: `[function, 2]`, one order of each.
-        maps: of E_x, E_y and E_z, `[order, function of the component]`.
+        maps: for E_x, E_y and E_z, `[order, function of the component]`.
         kept: the functions that each component has.
     """
 

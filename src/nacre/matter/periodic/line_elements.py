@@ -170,9 +170,9 @@ class System:
     """Equations of one wave vector.
 
     Attributes:
-        equations: of the fields that are coupled.
-        joints: of the upper and the lower end: plane waves over the functions there.
-        unknowns: number of functions of each field.
+        equations: equations for the coupled fields.
+        joints: expansion of plane waves in the functions at the upper and the lower end.
+        unknowns: number of functions for each field.
         numbers, alpha: plane waves outside.
         k_y, period: over k0, and times k0.
     """

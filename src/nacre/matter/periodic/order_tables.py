@@ -47,15 +47,15 @@ from nacre.matter.periodic.structure import (
 )
 
 SYMMETRY_POINTS = 1000  # at which the distance to a shape is compared with that of its image
-MAX_THETA = float(np.radians(89.5))  # light beyond is taken as here
-FITTED, PROFILE = (91, (1152, 576, 288, 144, 72)), (16, 48)  # nodes from 0 to 90 degrees, and of a whole turn
+MAX_THETA = float(np.radians(89.5))  # larger angles use this one
+FITTED, PROFILE = (91, (1152, 576, 288, 144, 72)), (16, 48)  # nodes in theta and in azimuth
 MOST_NUMBERS, MOST_WORK = 2.4e7, 2e10  # limits: values in the tables; sum of cubed sizes of all linear systems
-FEW = 12, 16  # nodes of tables whose size follows from an error: larger solutions, fewer of them
+FEW = 12, 16  # nodes with `table_error`: fewer but larger solutions
 CHECKS = 6  # directions at which the error is estimated
-CHECKED = 2e-3  # tolerance there for sloping walls, which else take most of the time
+CHECKED = 2e-3  # tolerance at these directions for sloping walls; tighter ones dominate the run time
 BETWEEN, BETWEEN_SEED = 6, 40  # directions at which the error between nodes is found by solutions
-BETWEEN_MANY = 48  # where solutions or responses take little time: anomalies and plasmons fill few directions
-PROBES = 4  # directions that set the size
+BETWEEN_MANY = 48  # if solutions or responses are cheap: anomalies and plasmons occupy few directions
+PROBES = 4  # directions from which the solver's size is chosen
 MIN_STORED_S = 2.0  # tables that take less are not stored
 MIN_PART_S = 0.5  # nor are their parts
 
@@ -93,9 +93,9 @@ def order_tables(
     """Solve a direction grid, in threads; symmetric directions once.
 
     Args:
-        tolerance: of the solutions with which the tables are compared.
+        tolerance: tolerance for the reference solutions at check directions.
         table_error: efficiency error at a few directions that sets the size; None: the smallest size.
-        largest_error: estimated error of the solutions with which the tables are compared, at most.
+        largest_error: limit for the estimated error of these solutions.
 
     Raises:
         NotConvergedError: one of them has a larger error; the table is not begun.

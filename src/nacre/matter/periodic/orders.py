@@ -79,12 +79,12 @@ def solve_orders(
 
     Args:
         stack_at: the structure at a wavelength in nm.
-        azimuth_rad: of the direction to the light.
+        azimuth_rad: azimuth of the direction towards the light.
         tolerance: largest estimated efficiency error; default: by method.
         is_strict: raise an error if the tolerance is not reached; otherwise return the best solution.
 
     Raises:
-        NotConvergedError: the tolerance is out of reach.
+        NotConvergedError: the tolerance is not reached.
     """
     angles, grid = np.atleast_1d(angles_rad).astype(float), np.atleast_1d(wavelengths_nm).astype(float)
     phi = azimuth_rad + np.pi

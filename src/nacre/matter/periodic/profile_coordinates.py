@@ -29,9 +29,9 @@ class ProfileOperators:
 
     Attributes:
         mass, stretched: integrals of f g and of (1 + a'^2) f g.
-        stiffness: of f' g'.
-        mixed: of a' f g', `[g, f]`.
-        slope: of f' g, `[g, f]`.
+        stiffness: integrals of f' g'.
+        mixed: integrals of a' f g', `[g, f]`.
+        slope: integrals of f' g, `[g, f]`.
     """
 
     mass: Array
@@ -101,7 +101,7 @@ def aligned(
     """Combine modes of equal beta so that they become the given plane waves, of unit amplitude.
 
     Args:
-        beta, field, flux: of the modes that go in one direction.
+        beta, field, flux: modes that propagate in one direction.
         waves: `[function, wave]`, the plane waves in the transformed coordinates (their coefficients).
         wave_beta: `[wave]`.
 
@@ -176,10 +176,10 @@ class Ports:
     """Plane waves on one side that go in one direction.
 
     Attributes:
-        states: of all modes of that direction, `[4 functions, 2 modes]`.
-        at: `[wave]`, their modes.
+        states: fields of all modes in that direction, `[4 functions, 2 modes]`.
+        at: `[wave]`, mode index for each plane wave.
         power: `[wave]`, discrete powers of E_y = 1 or H_y = 1, up to a factor.
-        epsilon, k_y: of the medium.
+        epsilon, k_y: permittivity and k_y in the medium.
     """
 
     states: Array

@@ -40,7 +40,7 @@ class RidgeStatistics:
 
     Attributes:
         count: ridges in a supercell.
-        height_deviation_nm, width_deviation_nm, shift_deviation_nm: of the height, the width and the place across.
+        height_deviation_nm, width_deviation_nm, shift_deviation_nm: for height, width and lateral position.
     """
 
     pitch_nm: float
@@ -303,7 +303,7 @@ class RidgeCase:
 
     Attributes:
         statistics: distribution of the ridges.
-        layers_nm, layer_index: of each ridge, from the light inward.
+        layers_nm, layer_index: the layers in each ridge, from the light inward.
         cover, substrate: index above and between the ridges, and of the membrane and the pedestals.
         draws: number of supercells.
     """
@@ -423,7 +423,7 @@ def ridge_table(solved: Array, cases: Sequence[RidgeCase], nodes: int) -> Array:
 
     Args:
         solved: `[along, a, b, wavelength]` at `ALONG`.
-        cases: of the wavelengths.
+        cases: one for each wavelength.
     """
     grid, middle = np.array([case.wavelength_nm for case in cases]), cases[len(cases) // 2]
     own = np.array(ALONG)

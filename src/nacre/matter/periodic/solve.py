@@ -248,11 +248,11 @@ def _is_steep(stack: PeriodicStack) -> bool:
 
 
 def _metal_error(method: str, ratio: float, change: float) -> float:
-    """Return the error of the finer of two sizes.
+    """Return the error at the finer of two sizes.
 
     Args:
-        ratio: of their errors, by the singular fields at edges of metal or beside a steep side.
-        change: of the amplitudes.
+        ratio: finer over coarser error, from the field singularity at metal edges or beside a steep side.
+        change: amplitude difference between both sizes.
     """
     return change * max(METAL_SAFETY[method], ratio / (1.0 - ratio))
 

@@ -236,7 +236,7 @@ def order_set(
 
     Args:
         tangential: `[order, 2, in]`, E_x and E_y.
-        index: of the medium, or `[order]`.
+        index: index of the medium, one for all orders or `[order]`.
         incident: azimuth of the transverse part of the incident wave, and its k_z / k0 (positive), or `[order]`.
     """
     azimuth, k_z_in = incident

@@ -70,12 +70,12 @@ class Powers:
 
     @property
     def reflectance(self) -> Array:
-        """Of unpolarised light."""
+        """Value for unpolarised light."""
         return 0.5 * (self.R_s + self.R_p)
 
     @property
     def transmittance(self) -> Array:
-        """Of unpolarised light."""
+        """Value for unpolarised light."""
         return 0.5 * (self.T_s + self.T_p)
 
 
@@ -92,7 +92,7 @@ class Response(Amplitudes, Powers):
 
     @property
     def absorptance(self) -> Array:
-        """Of unpolarised light, summed over the layers."""
+        """Value for unpolarised light, summed over the layers."""
         if self.A_s is None or self.A_p is None:
             raise NacreError("absorption was not computed: call solve(..., absorption=True)")
         return 0.5 * (self.A_s + self.A_p).sum(axis=0)

@@ -283,7 +283,7 @@ def _blurred(
 
 
 def _grouped(rays: _Rays, layers: list[PolarisedLayer], substrate: ComplexArray, absorption: bool) -> PolarisedResponse:
-    """Return the response of layers in the incidence frame, isotropic incoherent ones among them."""
+    """Return the response of layers in the incidence frame, which may include isotropic incoherent ones."""
     place = next((i for i, layer in enumerate(layers) if layer.incoherent), None)
     if place is None:
         return _coherent(rays, layers, substrate, absorption)

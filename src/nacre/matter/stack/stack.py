@@ -166,7 +166,7 @@ class Stack:
         """Return R and T for s and p, `[angle, wavelength]`, with incoherent layers as marked.
 
         Args:
-            azimuth_rad: azimuth of the direction towards the light, from u; only anisotropic stacks depend on it.
+            azimuth_rad: azimuth of the direction towards the light, from the u axis; used by anisotropic stacks only.
         """
         if not self.is_isotropic:
             found = self.polarised(theta_rad, wavelengths_nm, azimuth_rad, jobs=jobs)

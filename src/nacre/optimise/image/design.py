@@ -114,7 +114,7 @@ def design_picture(
 
     Args:
         task: its only target is a picture.
-        checkpointer: of the palette, in the folder of the design, which exists.
+        checkpointer: palette checkpointer, in the existing design folder.
         begun: `core.jit.clock()` at the start.
         progress: called before, during and after the computation.
 

@@ -45,7 +45,7 @@ class Channel:
 
     Attributes:
         target: the picture and its geometry.
-        turn_deg: of a bright dot.
+        turn_deg: rotation of a bright dot's grating.
         length: |q|.
         periods_nm: `[3]`.
         primaries: `[3, 3]`, XYZ of a bright dot by wavelength, in arbitrary units.

@@ -69,7 +69,7 @@ def minimise_residuals(
     """Minimise a sum of squares from one start by a bounded trust-region method.
 
     Args:
-        residuals: of a point `[parameter]`; flat; large and finite if they cannot be computed.
+        residuals: function from a point `[parameter]` to a flat array; large and finite if it fails.
         start: `[parameter]`, in the unit cube.
         step: relative finite-difference step, without `jacobian`.
         max_nfev: step count.
@@ -121,7 +121,7 @@ def refine(
     """Refine some parameters of a point; after the first minimisation the weights shift to the worst terms.
 
     Args:
-        spectra: of a point, `[row, wavelength]`; None if it cannot be computed.
+        spectra: function from a point to `[row, wavelength]`; None if it fails.
         columns: parameter indices.
         reweightings: minimisations with new weights.
         stop_tol: objective at which to end.

@@ -57,7 +57,7 @@ def descend(
     Broyden's rank-one update corrects the Jacobian after each step; a new one is computed only if the updates fail.
 
     Args:
-        residuals: of a point; None if they cannot be computed.
+        residuals: function from a point to its residuals; None if it fails.
         jacobian: function of a descent, `[residual, parameter]` at its point.
         columns: parameter indices.
         low: lower bounds for these parameters.
@@ -147,12 +147,12 @@ class BasinHopping:
     """All descents of one problem.
 
     Args:
-        residuals: of a point; None if they cannot be computed.
+        residuals: function from a point to its residuals; None if it fails.
         columns: indices of parameters that may move.
         low: lower parameter bounds.
         lengths: parameter indices that interfere.
         variants: further starts from a good minimum, such as without one of its tables.
-        structure: of a point; descents begin from all structures in turn.
+        structure: function from a point to its structure; descents begin from all structures in turn.
     """
 
     def __init__(

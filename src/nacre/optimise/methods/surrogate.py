@@ -131,7 +131,7 @@ class SurrogateError:
 
     Attributes:
         relative: standard error for the approximate part; None if unknown.
-        exact_error: of the exact part, which uses coarser tables than the walk.
+        exact_error: relative error of the exact part, which uses coarser tables than the walk.
         similarity: mean log difference between two approximations whose estimates apply to each other.
         estimates: walks, approximation, rest and its error per estimate.
     """
@@ -147,8 +147,8 @@ class SurrogateError:
         Estimates have independent seeds. Estimates and surrogate are weighted by their inverse variances.
 
         Args:
-            walks: of the estimate.
-            exact, approximation: `[row, wavelength]`, of the surrogate there.
+            walks: number of walks in the estimate.
+            exact, approximation: `[row, wavelength]`, the surrogate's parts at this point.
             rest, error: `[row, wavelength]`, estimated factors beyond the exact part, and their standard error.
         """
         self.estimates.append((walks, approximation, rest, error))
@@ -184,8 +184,8 @@ def wavelength_subset(
     """Return wavelengths and the merit function on them: a subset if its colours agree with those of all.
 
     Args:
-        points: of which the first `checked` are compared.
-        spectra: of a point on wavelengths, `[row, wavelength]`; None if it cannot be computed.
+        points: the first `checked` points are compared.
+        spectra: function from a point and wavelengths to `[row, wavelength]`; None if it fails.
         max_error: colour difference in tolerances.
     """
     whole = problem.wavelengths_nm, problem.merit

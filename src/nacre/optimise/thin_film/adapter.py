@@ -357,7 +357,7 @@ def drawn_factors(
     """Return the factors `[draw, row, wavelength]` of random thicknesses, or None for other parameters.
 
     Args:
-        paths: of the thicknesses.
+        paths: thickness paths.
         values: `[draw, path]`.
     """
     if not is_plain(material):

@@ -372,7 +372,7 @@ def evolve(
         count: individuals to begin.
         fresh_share: share of random stacks.
         target: objective at which the batch ends at once.
-        seed: of this batch.
+        seed: batch seed.
         s: `Workspace` for `slots + 2` layers.
         out: `Population` for `count` stacks; filled from its start.
     """

@@ -55,8 +55,8 @@ def compile_merit(merit: MeritFunction, margin: float = 0.0) -> CompiledMerit:
     """Return the arrays for `evaluate`.
 
     Args:
-        margin: of the tolerance, by which ranges are narrowed, at most by a tenth of the range: descents that stop near
-            the bound then end inside.
+        margin: fraction of the tolerance by which ranges are narrowed (at most by a tenth), so that descents that
+            stop near a bound end inside.
     """
     order = sorted(
         range(len(merit.terms)),

@@ -24,19 +24,19 @@ START = re.compile(r"# feature heights in um, row = x(?:; feature_um = (\S+))?$"
 
 
 def sniff_nacre_heights(head: FileHead) -> float:
-    """Return 1 for the first line of the command."""
+    """Return 1 for the first line that `nacre fabricate --to csv` writes."""
     return CERTAIN if head.lines and START.match(head.lines[0]) else 0.0
 
 
 def read_nacre_heights(path: Path, options: ReadOptions) -> list[Measurement]:
     """Return the heights as a picture, x to the right and y upward.
 
-    The side of a feature is that of the first line, of the description beside the file (`FILE.json`), or of the option
+    The feature size comes from the first line, from the description beside the file (`FILE.json`) or from the option
     `pitch_um`.
 
     Raises:
         NacreError: rows of different lengths.
-        AmbiguousFileError: the side of a feature is not known.
+        AmbiguousFileError: the feature size is unknown.
     """
     text = surface.whole_text(path)
     head, *rows = [line for line in text.splitlines() if line.strip()]

@@ -452,7 +452,7 @@ def spectrum(
 
     Args:
         x, y: abscissa and values as in the file, `[point]`.
-        unit: of `x`; the options override it.
+        unit: unit for `x`; the options override it.
         error: standard errors in the unit of `y`.
         more: other columns by canonical name, in their final unit.
 
