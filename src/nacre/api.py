@@ -285,7 +285,7 @@ def import_(source: str | Path, recipe: str | Path, *, law: str | None = None, *
         source: the file to read.
         recipe: the TOML file to write; tables go into a `.nacre` file beside it.
         law: "half-angle" extrapolates a scan in the plane of incidence.
-        options: what a measurement does not state, as for `read`.
+        options: facts that a measurement does not state, as for `read`.
 
     Raises:
         NacreError: the file has an unknown format or is damaged.
@@ -301,7 +301,7 @@ def read(path: str | Path, **options: Any) -> Measurement | list[Measurement]:
 
     Args:
         path: the file; the format is recognised by its content.
-        options: what the file does not state, as fields of `nacre.readers.measurement.ReadOptions`: `quantity`, `unit`,
+        options: facts not stated in the file, as fields of `nacre.readers.measurement.ReadOptions`: `quantity`, `unit`,
             `angle_deg`, `delta_convention`, `channel`, `spectrum`, `pitch_um`, `columns`, `ignore`, `format`,
             `wavelengths`.
 

@@ -139,7 +139,7 @@ def compute_ellipsometry(
         thing: a material or a path.
         angles_deg: incidence angles, `[angle]`, above 0 and below 90.
         wavelengths_nm: `[wavelength]`; default: chosen by the material.
-        azimuth_deg: azimuth of the direction to the light, from u; default: that of the instrument.
+        azimuth_deg: azimuth of the direction towards the light, from u; default: the instrument's.
         instrument: averages; default: the recipe's `[instrument]`.
 
     Raises:
@@ -294,7 +294,7 @@ class EllipsometryData:
         errors: standard errors, shaped as `values`; None if the file states none.
         is_normalised: whether the values belong to the polarised part: N^2 + C^2 + S^2 = 1.
         is_sign_stated: whether the user has stated the Delta sign.
-        remarks: what the reader has assumed.
+        remarks: the reader's assumptions.
     """
 
     name: str

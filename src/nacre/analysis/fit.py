@@ -67,7 +67,7 @@ class FittedNumber:
 
     Attributes:
         half_width: half width of the linear interval.
-        interval: by `method`: `linear`, `profile` or `resampling`.
+        interval: 95 % interval by `method`: `linear`, `profile` or `resampling`.
     """
 
     path: str

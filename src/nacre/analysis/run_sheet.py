@@ -67,7 +67,7 @@ class RunSheet:
         name: recipe name.
         quantity: "reflectance" or "transmittance"; wavelength_nm, angle_deg: monitor light.
         noise: the signal's standard deviation.
-        layers: in order of deposition.
+        layers: layers in order of deposition.
     """
 
     name: str

@@ -44,7 +44,7 @@ def join_strata(upper: Layered, lower: Layered) -> Layered:
 
     Args:
         upper: its own substrate is discarded.
-        lower: on the same wavelengths, with its substrate.
+        lower: the lower strata on the same wavelengths, with their substrate.
 
     Raises:
         UnsupportedError: the lower strata have glints.

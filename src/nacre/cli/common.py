@@ -348,7 +348,7 @@ def read_texture(texts: Sequence[str]) -> dict[str, float]:
 
 
 ASK_S = 60.0  # longer work needs confirmation on a terminal
-PACE_S = 30.0  # between lines without a terminal
+PACE_S = 30.0  # interval between progress lines without a terminal
 LONG_COMPILE_S = 1.0
 COMPILING = "compiling kernels for this machine, once, about 10 s on a free core; later runs reuse them"
 BUSY = 1.5  # ratio of wall time to time on free cores, above which both are reported

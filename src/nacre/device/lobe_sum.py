@@ -214,7 +214,7 @@ class LobeSum:
             if k + 1 < len(self.plugins):  # rounding may leave the last bound below 1
                 chosen = chosen & (sample1 < above)
             rest = larger(smaller((sample1 - below) / larger(share, 1e-20), 0.99999994), 0.0)
-            # a specular lobe repeats the look-up of its share: with an equal mask both are one read
+            # a specular lobe repeats the look-up of its share; with an equal mask the compiler merges both reads
             mask = active if self.delta[k] else chosen
             one, value = plugin.sample(ctx, si, rest, sample2, mask, enabled[k])
             one.pdf = one.pdf * share
@@ -344,7 +344,7 @@ class DevicePolarisation:
     def matrix(self, ctx: Any, si: Any, wo: Any, facet: Facet, active: Any) -> Any:
         """Return the Mueller matrix in the implicit Stokes frames, relative to the unpolarised value.
 
-        Where that is a mean over the azimuth, an anisotropic interface is brighter at some azimuths.
+        If the value is a mean over the azimuth, an anisotropic interface is brighter at some azimuths.
         """
         light, view = (wo, si.wi) if is_radiance(ctx) else (si.wi, wo)
         is_crossed = negated(facet.reflects) if is_radiance(ctx) else mi.Bool(False)

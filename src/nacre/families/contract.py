@@ -251,7 +251,7 @@ class SingleFlakes(Protocol):
         """Return the flakes under a lamp at an angle from the normal, seen along the normal.
 
         Args:
-            theta_rad: from the normal to the lamp, in the ambient.
+            theta_rad: angle between the normal and the lamp, in the ambient.
             lamp_rad, camera_rad: half angles of the cones to the lamp and to the entrance pupil of the camera.
         """
         ...

@@ -90,7 +90,7 @@ class Parametrisation:
             try:
                 return self._quick({path: v if type(v) in (float, int) else v.item() for path, v in values.items()})
             except (NacreError, ValueError, AssertionError):
-                pass  # the complete validation names the mistake's place
+                pass  # the complete validation locates the error
         return self._complete(values)
 
     def _complete(self, values: Mapping[str, Any]) -> Any:

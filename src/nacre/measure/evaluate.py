@@ -349,7 +349,7 @@ class CircularReflection:
     Attributes:
         right, left: reflectance of right and left circular light.
         dissymmetry: g = 2 (right - left) / (right + left), from -2 to 2; 0 where nothing is reflected.
-        kept: share of the reflected light of the stronger hand that keeps its hand, as a cholesteric does; a mirror
+        kept: share of the stronger hand's reflected light that preserves its hand, as in a cholesteric; a mirror
             reverses it.
     """
 

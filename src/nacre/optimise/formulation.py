@@ -4,7 +4,7 @@ The library of pigments and dyes and the paint to match are files. All combinati
 refined on a two-stream model of the paint; the best ones are corrected by the doubling method at their own point and
 refined again until they converge (space mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
 After the first stage texture is a product of powers of the volume fractions about each refinement's start.
-Answers are evaluated by a random walk.
+Solutions are evaluated by a random walk.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ from nacre.recipe.toml import parse_toml
 LEAST = 1e-4  # fraction of the upper bound: a recipe needs a volume fraction above 0
 STARTS = 2  # per combination
 SCOUT_STEPS, COARSE_STEPS, FINE_STEPS = 7, 25, 12  # least-squares steps
-SECOND = 10  # combinations refined on the two-stream model, for each answer
+SECOND = 10  # combinations refined on the two-stream model, for each solution
 CORRECTIONS, REST = 6, 2e-3  # largest number of space-mapping steps; a smaller move ends them
-FINALISTS = 4  # for each answer
+FINALISTS = 4  # for each solution
 GOOD_RMS, EDGE, POLISH_STEPS = 0.1, 0.05, 15  # for the final least squares
 WALKS = 1 << 16
 BLACK, WHITE = 0.0, 0.8  # albedo of the contrast ratio's bases; ISO 6504-3 asks for at least 0.8 of the white
@@ -479,7 +479,7 @@ def formulate(
 ) -> Formulation:
     """Match measured colours of an effect paint with pigments and a dye from a library.
 
-    An interrupt ends the search; the combinations so far give the answers.
+    An interrupt ends the search; the combinations evaluated so far give the solutions.
 
     Args:
         target: a TOML file as in `FormulationSpec`, a dictionary of its keys, or the result of `read_formulation`.
@@ -601,7 +601,7 @@ class PaintSearch(Search):
             key = (stage, tuple(each.entry.name for each in paint.ingredients), tuple(start.tolist()))
             if key not in self._refined:
                 self._refined[key] = refine(paint, start)
-            self.budget.used += 1  # those of an earlier run too: the same limit then gives the same solutions
+            self.budget.used += 1  # cached refinements count too: equal budgets then give equal solutions
             rms, point = self._refined[key]
             found.append((rms, paint, point))
             self.finalists = sorted(found, key=lambda each: each[0])
@@ -872,7 +872,7 @@ def check_answers(folder: Path) -> None:
 def write_formulation(found: Formulation, folder: Path) -> None:
     """Write `formulation.json`, `recipe.toml` for the first solution, and `2/recipe.toml` and so on for the others.
 
-    Further answers of an earlier formulation in the folder are removed. Until all are written, `status` is "started".
+    Other solutions from an earlier formulation in the folder are removed. Until all are written, `status` is "started".
 
     Raises:
         NacreError: the folder cannot be written or holds other files of these names.

@@ -47,7 +47,7 @@ class Budget:
     Attributes:
         evaluations: limit, in candidates of ordinary fidelity.
         seconds: outer time limit.
-        reserved_s: time after the search that is kept for the final evaluation.
+        reserved_s: time reserved for the final evaluation.
         used: evaluations spent.
         start_time: by `core.jit.clock`.
         is_late: whether the time limit ended the search or a phase.

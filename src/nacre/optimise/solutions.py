@@ -49,7 +49,7 @@ def take_apart(data: dict[str, Any], taken: list[str]) -> dict[str, str]:
 RECIPE = "recipe.toml"
 SUMMARY = "design.json"
 NEED_BYTES = 8_000_000  # free disk space for solutions, pictures and report
-WRITTEN = (RECIPE, SUMMARY, "report.html", "report.png", "search.json")  # beside the best answer
+WRITTEN = (RECIPE, SUMMARY, "report.html", "report.png", "search.json")  # beside the best solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +148,7 @@ def write_recipe(
         start: the recipe that the search started from.
         changes: path -> value.
         tolerance: spreads of manufacture by path, for `nacre tolerance`.
-        made: the answer, where it may reach files that the start does not: of optical constants to choose from.
+        made: the solution's material; it may use files that the start does not, such as selectable optical constants.
 
     Returns:
         the recipe's path, and the names of all files written.

@@ -324,7 +324,7 @@ class _Run:
         return True
 
     def _is_kept(self, index: int, key: str) -> bool:
-        """Whether an earlier run wrote this frame; note it."""
+        """Return whether an earlier run wrote this frame; if so, record it as finished."""
         name = self._names[index]
         old = _finished(name)
         if old.get("frame_key") != key:

@@ -456,7 +456,7 @@ def _page_files() -> dict[str, tuple[bytes, str]]:
 
 
 def failed(request: Request, error: Exception) -> Response:
-    """Answer an error in one line."""
+    """Send an error in one line."""
     return JSONResponse({"error": str(error), "line": line_of("", str(error))}, BAD_INPUT)
 
 
@@ -466,12 +466,12 @@ def _studio(request: Request | WebSocket) -> Studio:
 
 
 def no_icon(request: Request) -> Response:
-    """Answer the browsers' initial icon request."""
+    """Send the browsers' initial icon request."""
     return Response(status_code=204)
 
 
 def state(request: Request) -> Response:
-    """Answer the recipes, examples, families, objects and surroundings."""
+    """Send the recipes, examples, families, objects and surroundings."""
     opened = _studio(request).opened
     shipped = {example.name: example for example in examples()}
     names = opened.names()
@@ -501,7 +501,7 @@ def _example(example: Any) -> dict[str, str]:
 
 
 async def surroundings(request: Request) -> Response:
-    """Answer packed surroundings; a sky is computed once, by a job."""
+    """Send packed surroundings; a sky is computed once, by a job."""
     name, skies = request.query_params.get("name", "studio"), _studio(request).skies
     if name not in SKIES:
         return _binary((await asyncio.to_thread(blurred_surroundings, name)).packed())
@@ -515,7 +515,7 @@ def _binary(content: bytes, headers: Mapping[str, str] | None = None) -> Respons
 
 
 def recipe(request: Request) -> Response:
-    """Answer a recipe's text and version."""
+    """Send a recipe's text and version."""
     name = request.query_params.get("name", "")
     text = _studio(request).opened.read(name)
     if len(text) > folder.MAX_TEXT:
@@ -526,19 +526,19 @@ def recipe(request: Request) -> Response:
 
 
 def form(request: Request) -> Response:
-    """Answer a family's form."""
+    """Send a family's form."""
     return JSONResponse(family_form(request.query_params.get("family")))
 
 
 def indices(request: Request) -> Response:
-    """Answer the optical constants whose names match the query."""
+    """Send the optical constants whose names match the query."""
     found = library.search(request.query_params.get("q", "")[:80])
     listed = [{"name": entry.name, "title": entry.title} for entry in found[:MAX_FOUND]]
     return JSONResponse({"found": listed, "more": max(len(found) - MAX_FOUND, 0)})
 
 
 def picture_object(request: Request) -> Response:
-    """Answer an object's triangles."""
+    """Send an object's triangles."""
     return _binary(packed_object(request.query_params.get("name", "")))
 
 
@@ -554,14 +554,14 @@ async def save(request: Request) -> Response:
 
 
 async def report(request: Request) -> Response:
-    """Answer a report on one recipe or two."""
+    """Send a report on one recipe or two."""
     question = read_report(await _body(request), _studio(request).opened)
     found = await _result(request, "report", "nacre.studio.downloads:report", question)
     return Response(found, media_type="application/json")
 
 
 async def angles(request: Request) -> Response:
-    """Answer colours at the geometries of multi-angle instruments, and texture."""
+    """Send colours at the geometries of multi-angle instruments, and texture."""
     body = await _body(request)
     placed, lamp = folder.read_recipe(body.get("recipe"), _studio(request).opened), folder.read_lamp(body)
     async with _studio(request).limits["angles"]:
@@ -569,13 +569,13 @@ async def angles(request: Request) -> Response:
 
 
 async def formats(request: Request) -> Response:
-    """Answer a recipe's file formats."""
+    """Send a recipe's file formats."""
     placed = folder.read_recipe(await _body(request), _studio(request).opened)
     return JSONResponse(await asyncio.to_thread(lambda: formats_of(folder.built(placed))))
 
 
 async def parameters(request: Request) -> Response:
-    """Answer the possible design parameters."""
+    """Send the possible design parameters."""
     placed = folder.read_recipe(await _body(request), _studio(request).opened)
     return JSONResponse(await asyncio.to_thread(lambda: list_parameters(folder.built(placed))))
 
@@ -791,7 +791,7 @@ class Session:
         self._worker = LatestOnlyWorker(self._answer, self._send, self._fail, slot, drops_superseded=False)
 
     async def run(self) -> None:
-        """Answer requests until the page is closed or sends an invalid message."""
+        """Serve requests until the page is closed or sends an invalid message."""
         await self._socket.accept()
         try:
             while (body := _message(await self._socket.receive_text())) is not None:

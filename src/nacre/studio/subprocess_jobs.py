@@ -195,7 +195,7 @@ class SupersededError(Exception):
 
 
 class LatestOnlyWorker(Generic[Request]):
-    """Answers the newest request; older ones are dropped, and one in progress is superseded.
+    """Processes the newest request; older ones are dropped, and one in progress is superseded.
 
     `answer(request, is_superseded)` yields `(message, is_draft)` and may raise `SupersededError`; the worker rests
     after a draft. The thread ends when all requests are answered.

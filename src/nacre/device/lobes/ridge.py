@@ -118,7 +118,7 @@ class RidgePlugin(ReflectingRidges[Ridge]):
         )
 
     def _draw(self, si: Any, wi: Any, y: Any, line: Any, rest: Any, number: Any, active: Any) -> Any:
-        """Draw from the order of the grating or the envelope, at one of the wavelengths."""
+        """Draw a direction from a grating order or from the envelope, at one wavelength."""
         limit = dr.sqrt(dr.maximum(1.0 - y * y, 0.0))
         wavelength = self._limited(plugin.of_line(si.wavelengths, line))
         share = self._comb_share(wi, wavelength)
@@ -342,7 +342,7 @@ class RidgeTablePlugin(ReflectingRidges[RidgeTable]):
         return value * (self.fill * gauss) & active, dr.select(active, density * self.half * gauss, 0.0)
 
     def _node(self, wi: Any) -> Any:
-        """Return the number of the node nearest to a light direction, for light mirrored along the ridges."""
+        """Return the index of the node nearest to the light direction, mirrored along the ridges."""
         c, chord = _along(wi.y, -wi.y)
         k = mi.UInt32(dr.round(c * self.along_nodes.last))
         return k * self.sine_count + mi.UInt32(dr.round((dr.clip(wi.x / chord, -1.0, 1.0) + 1.0) * self.half))

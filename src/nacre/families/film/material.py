@@ -72,7 +72,7 @@ class FilmLayer:
     """One layer; its thickness may vary over the surface.
 
     Attributes:
-        material: what it is made of; of a helical layer with its axes at the upper face.
+        material: optical constants; for a helical layer, with its axes at the upper face.
         thickness_nm: thickness.
         incoherent: too thick for interference.
         helix: rotation of the axes with depth, or None.

@@ -74,7 +74,7 @@ class Side:
     """Directions on one pattern side.
 
     Attributes:
-        wavevectors: in the plane, `[direction, 2]`, 1/nm.
+        wavevectors: in-plane wavevectors, `[direction, 2]`, 1/nm.
         directions: vectors for the first species.
         others: vectors for the other species in a mixture.
     """
@@ -405,7 +405,7 @@ class EnsembleInterpolation:
 
     Attributes:
         wavelengths_nm: `[wavelength]`, ascending.
-        ratios: at each.
+        ratios: ratios at each of them.
         errors: relative standard error for the diffuse light above, `[wavelength, s, i]`, over azimuth and
             polarisation.
         angles_rad: `[s]`, for s and i.

@@ -151,7 +151,7 @@ def mean_field_holds(species: Sequence[SystemClass], on_substrate: bool, coverag
     Args:
         species: classes; both in a mixture are evaluated together.
         on_substrate: whether there is a relevant substrate.
-        coverage: by all particles.
+        coverage: area coverage by all particles.
     """
     limit, system = highest_coverage(species, on_substrate)
     name = _describe(species, on_substrate)

@@ -55,7 +55,7 @@ class Supercell:
     Attributes:
         xy_nm: positions, `[sphere, 2]`.
         period: its period.
-        seed: for random choices in it.
+        seed: seed for its random choices.
         species: species number per particle, `[sphere]`; None for one species.
     """
 

@@ -82,10 +82,10 @@ class FlakeTexture:
         strata: the pearl's strata from the light inward; each pigment has a diameter.
         glints: spread of the diameters and flatness of the flakes, or None for the defaults.
         wavelengths_nm: `[wavelength]`, vacuum.
-        weights: `[wavelength]`, whose sum with a reflectance factor is the luminance factor.
+        weights: `[wavelength]`; the weighted sum of a reflectance factor is the luminance factor.
 
     Raises:
-        UnsupportedError: a pigment has no diameter, or there is none.
+        UnsupportedError: a pigment has no diameter, or the pearl has no pigment.
     """
 
     def __init__(self, strata: Sequence[Stratum], glints: Glints | None, wavelengths_nm: Array, weights: Array) -> None:
@@ -148,7 +148,7 @@ class FlakeTexture:
         """Return the flakes under a lamp at an angle from the normal, seen along the normal.
 
         Args:
-            theta_rad: from the normal to the lamp, in the ambient.
+            theta_rad: angle between the normal and the lamp, in the ambient.
             lamp_rad, camera_rad: half angles of the cones to the lamp and to the entrance pupil of the camera.
         """
         wi, wo = direction(theta_rad), np.array([0.0, 0.0, 1.0])
@@ -294,7 +294,7 @@ class Glints:
         surface_mm: length on the object per unit of u and v.
         diameter_spread: standard deviation, log diameter.
         flatness_deg: normal's standard deviation over one flake.
-        seed: for the positions.
+        seed: seed for the positions.
     """
 
     surface_mm: tuple[float, float]

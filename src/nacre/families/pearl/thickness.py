@@ -269,7 +269,7 @@ def _check_histogram(edges: Array | None, fractions: Array | None) -> None:
 
 
 class Distribution(NamedTuple):
-    """A thickness distribution as the averaging kernels take it.
+    """A thickness distribution for the averaging kernels.
 
     Attributes:
         is_fixed: all flakes have the thickness `mean`.

@@ -312,7 +312,7 @@ def is_fft_cheaper(samples: int, highest: int) -> bool:
 STEP_FOR_ERROR = ((1e-6, 1.6), (1e-4, 3.0), (1e-3, 4.4), (1e-2, 6.0))
 GROWTH = 1.5  # factor by which the sampling is refined for a check
 MAX_SAMPLES = 16384  # along one side; 2 GiB of complex field in single precision
-# on the difference of two samplings as the error of the coarser one
+# factor on the difference between two samplings, which estimates the coarser one's error
 MARGIN = 2.0
 BYTES_PER_SAMPLE = 24  # surface in double precision, field and transform in single
 

@@ -44,7 +44,7 @@ class Heights:
         pitch_um: point distance along x and y.
         is_periodic: whether they are one period.
         is_instrument: whether an instrument wrote them.
-        remarks: what was assumed.
+        remarks: assumptions.
     """
 
     heights_um: Array

@@ -79,7 +79,7 @@ class Scan:
         tilt: slopes (x, y) of the plane, if the light is to see it.
         statistics: "scan", "random", "isotropic", or None for the choice by `suggested`.
         figures: Sq and others, for reports.
-        remarks: what was done to the heights.
+        remarks: corrections applied to the heights.
     """
 
     heights_nm: Array

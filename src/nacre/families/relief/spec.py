@@ -115,7 +115,7 @@ class ReliefSpec(RecipeModel):
         """Read the heights and return the material.
 
         Raises:
-            RecipeError: the heights cannot be used, or not by the theory asked for.
+            RecipeError: the heights are unusable, or unsuitable for the requested theory.
         """
         options = HeightOptions(
             self.heights, self.feature_um, self.blur_um, self.height_scale_um, self.periodic, self.level,

@@ -165,7 +165,7 @@ class Joined:
 
 @dataclass(frozen=True)
 class Spliced:
-    """One model below a wavelength and another above; continuous by the choice of the two."""
+    """One model below a wavelength and another above; continuous only if both agree there."""
 
     below: Dispersion
     above: Dispersion

@@ -426,7 +426,7 @@ def joined_answers(
 
 
 def _bounded(y: float, cell: Cell) -> float:
-    """A line ends where the cell ends."""
+    """Clip a coordinate to the cell."""
     assert cell.period_y is not None
     return float(np.clip(y, -0.5 * cell.period_y, 0.5 * cell.period_y))
 
@@ -512,7 +512,7 @@ class _Functions:
         places: (m, n) -> row of the maps.
         numbers: `[function, 2]`, one order of each.
         maps: for E_x, E_y and E_z, `[order, function of the component]`.
-        kept: the functions that each component has.
+        kept: indices of the functions in each component.
     """
 
     places: dict[tuple[int, int], int]

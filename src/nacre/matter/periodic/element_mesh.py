@@ -299,7 +299,7 @@ def _turned(degrees: tuple[int, int], signs: tuple[int, int], swaps: bool) -> tu
 def _mirrored(
     blocks: tuple[Block, ...], axis_rad: float
 ) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix] | None:
-    """Return the reflection of all local edge and continuous functions; None: the blocks are not symmetric."""
+    """Return the reflection matrices for local edge and continuous functions; None: the blocks are not symmetric."""
     turn = reflection(axis_rad)
     every = np.array([block.corners for block in blocks])
     size = np.abs(every).max()

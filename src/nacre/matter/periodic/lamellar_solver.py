@@ -41,8 +41,8 @@ from nacre.matter.periodic.types import Array
 
 Case = tuple[PeriodicStack, float, float, float]
 FINENESS = 18.0  # plane waves to each side, per period or per wavelength, whichever is shorter
-RESOLUTION = 0.09  # plane waves to each side over (degree + 1)^2 / length; both truncation errors cancel most
-CHUNK = 5e5  # numbers in one matrix of all cases
+RESOLUTION = 0.09  # plane waves to each side over (degree + 1)^2 / length: the truncation errors nearly cancel
+CHUNK = 5e5  # matrix elements per batch, over all cases
 
 
 def is_patterned(layer: PatternLayer) -> bool:

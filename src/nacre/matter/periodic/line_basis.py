@@ -233,7 +233,7 @@ def line_basis(mesh: LineMesh, alpha_0: float, reach: float) -> LineBasis:
 
 
 def plane_waves(mesh: LineMesh, alpha: Array, phase: complex) -> tuple[Array, Array]:
-    """Return the integrals of the functions of both spaces with normalised plane waves, `[function, wave]`."""
+    """Return the overlap integrals between both spaces' functions and normalised plane waves, `[function, wave]`."""
     smooth = np.zeros((mesh.size + 1, len(alpha)), dtype=complex)
     flat = []
     for k, degree in enumerate(mesh.degrees):

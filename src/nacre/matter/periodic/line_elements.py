@@ -187,12 +187,12 @@ class System:
     period: float
 
     def outside(self, light: Array) -> tuple[_Side, _Side]:
-        """Return the media outside with light `[wave, 2, case]` at the upper end, at the lower one without."""
+        """Return both outer media: the upper with incident light `[wave, 2, case]`, the lower without."""
         above = _Side(self.grid.above, self.alpha, self.k_y, light)
         return above, _Side(self.grid.below, self.alpha, -self.k_y, 0.0 * light)
 
     def solve(self, sides: tuple[_Side, _Side]) -> list[Array]:
-        """Return (E_y, H_y) of the plane waves `[wave, 2, case]` at both ends."""
+        """Return the outgoing plane waves' (E_y, H_y), `[wave, 2, case]`, at both ends."""
         for side in sides:
             side.enter()
         found = [np.zeros_like(side.s) for side in sides]
@@ -217,7 +217,7 @@ class _Sparse:
     places: tuple[Array, Array]
 
     def solve(self, ends: list[tuple[Array, Array]]) -> list[Array]:
-        """Return the fields at both ends, from the flux over the field and the source of each."""
+        """Return the fields at both ends from each end's flux-to-field matrix and source."""
         matrix = self.matrix
         source = np.zeros((matrix.shape[0], ends[0][1].shape[1]), dtype=complex)
         for at, (block, given) in zip(self.places, ends, strict=True):

@@ -128,9 +128,9 @@ def levels(ridges: Ridges, layers_nm: Array) -> tuple[Array, Array]:
     """Return the thicknesses `[level]` in nm, from the membrane up, and the layer in each ridge `[level, ridge]`.
 
     Args:
-        layers_nm: thicknesses `[layer]` of the layers of each ridge, from the light inward.
+        layers_nm: layer thicknesses `[layer]` in each ridge, from the light inward.
 
-    The number of layers denotes the pedestal, -1 the medium above.
+    A layer index equal to the layer count denotes the pedestal, -1 the medium above.
     """
     tops = np.concatenate([[0.0], np.cumsum(layers_nm)])
     faces = ridges.heights_nm[:, None] + tops[-1] - tops  # [ridge, face], from the top down

@@ -37,13 +37,13 @@ SLICES_RATE = 1.5  # observed: the error of steps falls as count^-2 in s, as cou
 SLICES_SAFETY = 1.5  # error estimate, relative to the difference of the finer solution from the extrapolated limit
 SLICES_TOLERANCE = {"lines": 2e-3, "fourier": 1e-2}  # without a given tolerance
 ADJACENT_STEP = 2  # size of adjacent layers of metal lines: 1e-3, where the smallest has errors up to 1.3e-2
-STEEP, STEEP_RATIO = 4.0, 0.5  # slope beside a corner of a profile beyond which errors only halve from size to size
-CHANCE = 6.0  # error of Fourier series over a change that is small by chance; at most 5 in ten clear discs
+STEEP, STEEP_RATIO = 4.0, 0.5  # slope beside a profile's corner above which errors only halve from size to size
+CHANCE = 6.0  # Fourier series: error over change, which may be small by chance; at most 5 in ten clear discs
 CORNER_RATE = 2.5  # the error of rectangles falls as degree^-2.5, by the fields at their corners
 
 
 def method_of(stack: PeriodicStack) -> str:
-    """Return the solver that suits a structure."""
+    """Return the name of the solver for a structure."""
     if stack.profile is not None:
         return "profile"
     shapes = [shape for layer in stack.layers for shape, _ in layer.shapes]

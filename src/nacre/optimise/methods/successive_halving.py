@@ -38,7 +38,7 @@ class SuccessiveHalvingOptions:
         draws, draw_share: draft evaluations per round, and their budget share.
         second_draws, min_second_draws: drafts that are evaluated again on the coarse wavelengths.
         population_size: descents at a round's start.
-        categorical_share: one in so many starts is reserved for the categorical choices in turn, whatever its merit.
+        categorical_share: one in so many starts is reserved for the categorical choices in turn, regardless of merit.
         min_start_distance: between starts, relative to the bounds.
         step: finite difference, relative to the bounds.
         rung_steps, final_steps: steps before each halving, and to converge.

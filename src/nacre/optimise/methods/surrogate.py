@@ -498,7 +498,7 @@ class SurrogateSearch(Search):
         removable = self.problem.removable
         for i in sorted(removable, key=lambda i: point[i]):
             if objective > 1.0:
-                break  # an unmet target may need the table yet
+                break  # an unmet target may still need the table
             if not 0.0 < point[i] < small:
                 continue
             trial = point.copy()

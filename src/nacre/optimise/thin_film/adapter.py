@@ -252,7 +252,7 @@ def thin_film_search_many(
         take: called with each number and its changes, from threads.
 
     Returns:
-        False, with nothing done, unless a stack is sought, without tolerances and whatever its number of layers.
+        False at once unless the task is a stack search with a free layer count and without tolerances.
 
     Raises:
         RecipeError: as `thin_film_search`.

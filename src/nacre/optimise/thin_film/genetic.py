@@ -401,7 +401,7 @@ def evolve(
 
 @compiled(error_model="numpy", nogil=True)
 def draw_many(tables: Any, merit: Any, space: Any, seed: int, s: Any, out: Any, labs: Any) -> None:
-    """Fill a `Brood` with draws, and `labs[k, term, 3]` with the colours that its terms look at."""
+    """Fill a `Brood` with draws, and `labs[k, term, 3]` with the colours for its terms."""
     np.random.seed(seed)
     slots = space.choices.shape[0]
     media, d, low, high = np.zeros(slots + 3, dtype=np.int64), np.zeros(slots + 3), np.zeros(slots + 3), np.zeros(slots)

@@ -254,7 +254,7 @@ def sniff_matrix(head: FileHead) -> float:
         return 0.0
     if columns >= WIDE:
         return 0.5 * POSSIBLE if is_abscissa else 2.0 * POSSIBLE
-    # without a column that rises or falls the numbers are not table over a coordinate
+    # a table over a coordinate would have a monotonic column
     return 0.5 * POSSIBLE if rises else 1.5 * POSSIBLE
 
 
