@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from nacre.plot import DesignSheet, Figure, FitPanel
 
 LIGHT = ("D65", "10deg")
-MAX_CURVES = 5  # with many measured angles: those with the largest residuals
+MAX_CURVES = 5  # drawn angles, selected by their residuals
 RIBBON_DEG = np.linspace(0.0, 80.0, 41)
 LEGEND = ("measured", "fitted")
 

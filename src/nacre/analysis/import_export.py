@@ -513,8 +513,8 @@ def even_pictures(table: lut.LightTable) -> tuple[dict[str, lut.Picture], tuple[
     """Return colours under uniform light over the view angle, and the roughness of each "gloss" band.
 
     "albedo": all reflected light; "through": directly transmitted light; "spread": scattered light in all directions,
-    each with a band for each side; "gloss": about the mirror direction, with a band for each width. The reflected light is
-    a closure's colour times the white closure's energy (`nacre.analysis.lut.rough_view`).
+    each with a band for each side; "gloss": about the mirror direction, with a band for each width. The reflected light
+    is a closure's colour times the white closure's energy (`nacre.analysis.lut.rough_view`).
     """
     sums: dict[str, list[Array | None]] = {}
     rows_over = {picture.rows for picture in table.pictures.values() if picture.rows}

@@ -22,7 +22,7 @@ from nacre.matter.stack.stack import Layer, Stack, index_of
 
 QUANTITIES = ("reflectance", "transmittance")
 POINTS_PER_FRINGE, LEAST_POINTS, MOST_POINTS = 48, 24, 4000
-AT_TURN = 0.02  # in fringes: a stop closer to an extremum is a stop at a turning point
+AT_TURN = 0.02  # distance from an extremum, in fringes, below which a stop counts as a turning point
 LEAST_SWING = 1e-9
 
 

@@ -28,8 +28,8 @@ from nacre.bsdf.response import InterfaceResponse
 from nacre.core.arrays import Array, cell, direction, gauss_legendre, node_coordinate, take_uniform
 from nacre.core.errors import UnsupportedError
 
-LOSS_NODES = 41  # over sqrt(cos): 3e-4 of energy at alpha 0.1 ... 1
-MOST_AZIMUTH_NODES = 49  # over cos^2 of the azimuth: 4 alpha_x/alpha_y + 1, since the loss varies faster with it
+LOSS_NODES = 41  # nodes over sqrt(cos); energy error 3e-4 at alpha 0.1 ... 1
+MOST_AZIMUTH_NODES = 49  # nodes over cos^2 azimuth: 4 alpha_x/alpha_y + 1, as the loss varies faster for larger ratios
 FACET_NODES = 64  # facet quadrature: 6e-4 of energy
 FACET_NODES_ANISOTROPIC = 50  # 1e-3; anisotropic roughness needs many more directions
 SMALLEST_COSINE = 1e-4
@@ -235,7 +235,7 @@ def _mean(loss: Array) -> Array:
 
 NODES = 65  # uniform in sqrt(cos)
 FACETS = 48
-REFINED, QUANTILES = 16, 257  # for the directions of returning light
+REFINED, QUANTILES = 16, 257  # integration steps per node, and quantiles of the returning light's direction
 
 
 def interface_losses(faces: list[Roughness], index: Array, is_open: bool) -> Array | None:

@@ -418,7 +418,7 @@ CHECKED_COSINES = (np.array([12.0, 30.0, 47.0]) + 0.5) / 64  # midway between no
 PROBE_COSINES = np.array([0.8, 0.45])
 PROBE_WAVELENGTHS = 12
 MOST_THETA, BESIDE_GRAZING = 0.5 * np.pi - 1e-6, 1e-10  # no wave runs exactly along the surface
-PROBED_AZIMUTHS = 4  # in half a turn
+PROBED_AZIMUTHS = 4  # azimuths in half a turn
 LEAST_AZIMUTHS, MOST_AZIMUTHS = 8, 32  # with 32, cos(2 phi) is wrong by at most 0.02 of the amplitude
 
 

@@ -419,11 +419,11 @@ class ParameterAxis:
 logger = logging.getLogger("nacre")
 
 MAX_IMAGE_PIXELS = 64_000_000
-BYTES_A_PIXEL = 24  # as read, in double precision, and scaled
+BYTES_A_PIXEL = 24  # original, double-precision and scaled copies
 ROUNDING = 1e-5  # tolerance of floating-point images beyond black and white
 REPORTED_GAPS = 0.01  # undefined share of the surface above which a warning is logged
 FORMULA_SAMPLES = 257  # along u and v
-PLACE_SAMPLES, SURFACE_SAMPLES = 17, 9  # for formulas in x, y, z: along each of them, and along u and v
+PLACE_SAMPLES, SURFACE_SAMPLES = 17, 9  # sample counts for formulas in x, y, z: along each axis, and along u and v
 
 
 class TextureSpec(RecipeModel):

@@ -19,7 +19,7 @@ PLOT_KINDS = (
     "field", "scattering", "structure", "platelet", "microscope", "ellipsometry", "mueller", "circular",
     "michel-levy",
 )  # fmt: skip
-STEPS, TRACK_STEPS = {"colour-map": 61, "ribbon": 91, "spectrum": 6}, 11  # for a range without a step
+STEPS, TRACK_STEPS = {"colour-map": 61, "ribbon": 91, "spectrum": 6}, 11  # default counts for a range without a step
 NO_DIRECTIONS = "is not an .npz file of numbers (wi[N,3], wo[N,3] and, if need be, uv[N,2])"
 SWEEP_ONLY_KINDS = ("gamut", "parallel")
 SWEEP_KINDS = ("gamut", "colour-map", "parallel")

@@ -27,7 +27,7 @@ MAX_TOML_BYTES = 4 << 20  # a recipe is a page of text
 PROBE_BYTES = 1 << 16
 PIPE_WAIT_S, WRITER_WAIT_S = 10.0, 0.3
 NUL = "\0"
-DESIGN_RECIPE = "recipe.toml"  # in a folder that represents a material
+DESIGN_RECIPE = "recipe.toml"  # file name in a folder that represents a material
 HAS_NUL = "holds a NUL character, which no file name has"
 
 _TEMPORARY = re.compile(r"\..*\.nacre-([0-9a-f]{8})-(\d+)-(\d+)-\w{8}(\..*)?")

@@ -180,7 +180,7 @@ def make_plugin(lobe: Lobe) -> LobePlugin[Any]:
 
 # linear in their spectral tables
 LINEAR_KINDS = ("specular", "microfacet", "diffuse", "table", "aligned-specular", "aligned-microfacet")
-CHANNELS = np.array([1.0, 2.0, 3.0])  # in place of wavelengths: red, green, blue
+CHANNELS = np.array([1.0, 2.0, 3.0])  # red, green and blue, used as wavelengths
 NODES = (64, 46, 37)  # table nodes: root of the half angle, difference angle, its azimuth
 HORIZON = 1e-3  # smallest cosine at a node
 

@@ -421,7 +421,7 @@ def _node(graph: Graph, table: LightTable, closure: Closure, x: str, rows: dict[
 MANIFEST = "table.json"
 MAX_CODE = 65535
 _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux, RENAME_SWAP of macOS
-DISTRIBUTIONS = ("ggx", "beckmann", "blinn", "ashikhmin-shirley")  # by shader number
+DISTRIBUTIONS = ("ggx", "beckmann", "blinn", "ashikhmin-shirley")  # the index is the shader's number
 MAX_REFLECTANCE = 1.5  # images with brighter colours show light, not reflectance
 
 

@@ -62,10 +62,10 @@ logger = logging.getLogger("nacre")
 
 MAX_EXCESS = 1e-3  # relative to the incident light; larger sums of reflectance and transmittance are reported
 MAX_NESTED_RECIPES = 8
-ENTRY = "entry"  # in the provenance of a cached Bsdf: its key, by which a renamed file is found
+ENTRY = "entry"  # provenance field of a cached Bsdf with its key, which identifies a renamed file
 OF_OUTER = object()  # default of a nested recipe's ambient: that of the outer recipe
 BYTES_PER_VALUE = 160  # per angle and wavelength: amplitudes and powers of two polarisations, and the stored parts
-MANY_ANGLES = 1000  # from here on the memory of the material's own wavelengths is checked
+MANY_ANGLES = 1000  # angle count from which memory is checked for the material's own wavelengths
 POLARISATIONS = ("s", "p", "both", "left", "right", "mueller")
 STUDY_TABLES = (
     "fit",

@@ -26,7 +26,7 @@ logger = logging.getLogger("nacre")
 
 BYTES_PER_VALUE = 40  # per pair and wavelength: the sum, the values of one lobe, and intermediate results
 UNIT_TOLERANCE = 1e-3  # deviation of a vector's length from 1
-LEAST_STEP_NM = 0.25  # between the wavelengths of colours
+LEAST_STEP_NM = 0.25  # smallest wavelength step for colours
 PAIRS_AT_ONCE = 2048
 DEFAULT_SAMPLES = 4096  # paths per direction pair: about 2 % noise for a broad lobe
 

@@ -34,9 +34,9 @@ from nacre.optimise.targets import Target
 logger = logging.getLogger("nacre")
 
 SEED_OFFSET = 0x5EED  # the Monte Carlo seeds differ from those of the search
-MAX_NOISE = 0.1  # in tolerances
+MAX_NOISE = 0.1  # largest noise, in tolerances
 MIN_ESTIMATES, MAX_ESTIMATES = 4, 256
-EQUAL_OBJECTIVE = 0.5  # below it fewer tables are better than a smaller objective
+EQUAL_OBJECTIVE = 0.5  # objectives below this are ranked by table count first
 GRID_POINTS, GRID_ROUNDS = 49, 4  # per axis and refinements, for the nearest range colour
 HUE_WINDOW_DEG = 60.0
 

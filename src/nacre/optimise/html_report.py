@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 REPORT, PICTURE = "report.html", "report.png"
 RIBBON_DEG = np.linspace(0.0, 80.0, 41)
-COARSE_DEG = np.linspace(0.0, 80.0, 9)  # for slow materials
+COARSE_DEG = np.linspace(0.0, 80.0, 9)  # angles for slow materials
 ASPECULAR_DEG = np.array([-15.0, 0.0, 15.0, 25.0, 35.0, 45.0, 60.0, 75.0, 90.0, 110.0])
 MIN_GAMUT_S = 3.0
 PICTURES_SHARE, GAMUT_SHARE = 0.5, 0.7  # time limit shares at which pictures and the gamut end

@@ -33,7 +33,7 @@ from nacre.recipe.model import RecipeContext, show_value
 
 GAP_STEPS = 3.0  # times a table's usual step: wider apart, two rows leave out what lies between them
 VISIBLE_NM = (380.0, 780.0)
-NOISE_FACTOR = 0.05  # below 0: noise of a dark sample
+NOISE_FACTOR = 0.05  # factors down to -0.05 are accepted as noise on a dark sample
 MOST_FACTOR = 10.0  # reflectance factor of a mirror beside a matt white; a larger one is in per cent
 MOST_LUMINANCE = 2.0  # a mirror or a sum over directions has at most 1: larger values are per cent
 LEAST_NM, MOST_NM = 10.0, 1e5  # range of a target spectrum; outside, it has another unit or quantity

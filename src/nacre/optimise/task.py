@@ -77,7 +77,7 @@ def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], so
         )
 
 
-OTHER = "other"  # in bounds by material: all that are not named
+OTHER = "other"  # key in bounds by material for all other materials
 
 
 @dataclass(frozen=True)

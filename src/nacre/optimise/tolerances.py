@@ -20,7 +20,7 @@ DISTRIBUTIONS = ("gaussian", "uniform")
 
 TIED, INDEPENDENT = "tied", "independent"  # default sources of deviations
 LEAST_EIGENVALUE = -1e-9  # rounding of a correlation matrix that is singular
-FAR, SMALL = 10.0, 1e-3  # in deviations: beyond every draw; step below 0 to test whether negative values are allowed
+FAR, SMALL = 10.0, 1e-3  # in deviations: larger than any draw; step below 0 to test whether the recipe allows it
 BY_MATERIAL = "material"  # group: all layers of one material deviate together
 
 

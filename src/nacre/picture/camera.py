@@ -16,7 +16,7 @@ from nacre.picture.mesh import rotation
 
 FOV_DEG = (1.0, 120.0)
 ZOOM = (0.05, 50.0)
-LOWEST_CAMERA = 0.05  # above the floor
+LOWEST_CAMERA = 0.05  # smallest height above the floor
 FRAME_SHARE = 0.94  # usable share of the frame
 FARTHEST = 16.0  # times the distance of the scene's camera
 

@@ -20,7 +20,7 @@ BEAM_DEG, BEAM_EDGE_DEG = 10.0, 0.7  # width of the lamp of `beam`, and of its s
 ROWS = 512
 STREET_TURN_DEG = 30.0
 SUN_DEG = 4.0  # wider than the sun at equal power, against noise
-SUN = (-0.62, -0.30, 0.60)  # in the garden: behind the camera's left shoulder, above the trees
+SUN = (-0.62, -0.30, 0.60)  # sun direction in the garden: behind the camera's left shoulder, above the trees
 _SEED = 21
 _GRID = table_wavelengths_nm()
 

@@ -231,7 +231,7 @@ def butterfly_body() -> mesh.Mesh:
 
 _HALF_WIDTH, _TAIL, _BEETLE_LENGTH = 1.0, -1.75, 3.3  # range of uv
 _BELLY = 0.2  # height of the flat side above the ground
-_PIT_LINES, _PITS = 8, 38  # on each wing case
+_PIT_LINES, _PITS = 8, 38  # lines and pits per line on each wing case
 
 # half width, position along the beetle, height, from tail to head
 _WING_CASES = [

@@ -509,7 +509,7 @@ LAB = {"l": "LAB_L", "a": "LAB_A", "b": "LAB_B", "c": "LAB_C", "h": "LAB_H"}
 LIGHTS = {"illuminant": "ILLUMINANT", "illum": "ILLUMINANT", "lightsource": "ILLUMINANT", "observer": "OBSERVER",
           "observerangle": "OBSERVER", "obs": "OBSERVER", "illuminantobserver": "BOTH", "illobs": "BOTH"}  # fmt: skip
 OBSERVER_BEHIND = re.compile(r"[\s/,]+(?:2|10)\b|19(?:31|64)")
-FACTOR_LIMIT = 1.1  # above the Y of any reflecting sample with a white of 1
+FACTOR_LIMIT = 1.1  # larger than Y of any reflecting sample relative to white = 1
 
 
 def sniff_colour_table(head: FileHead) -> float:

@@ -22,7 +22,7 @@ from nacre.readers.units import Floats, normal, parse_unit
 
 MAX_BYTES = 1 << 30
 MEMORY_FACTOR = 12  # memory per byte of a file: text, lines, cells
-SAMPLE_LINES = 400  # from which the delimiter is determined
+SAMPLE_LINES = 400  # the delimiter is determined from these
 CONTROL_SHARE = 0.01  # more control characters: no text
 NUL_SHARE = 0.2  # padding of fixed-length names
 MISSING = frozenset(

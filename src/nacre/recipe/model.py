@@ -550,7 +550,7 @@ def _models_in(annotation: Any) -> list[type[pydantic.BaseModel]]:
     return [m for arg in getattr(annotation, "__args__", ()) for m in _models_in(arg)]
 
 
-MAX_KEYS = 4  # in the message for a table without an example form
+MAX_KEYS = 4  # keys listed in the message for a table without an example form
 
 
 def rule_of(error_type: str, context: Mapping[str, Any], given: Any, tables: Iterable[type[pydantic.BaseModel]]) -> str:

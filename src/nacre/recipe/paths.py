@@ -10,7 +10,7 @@ from nacre.core.errors import RecipeError
 MAX_PATH = 1000  # characters
 NUMBERS = "numbers"  # table of named numbers for formulas
 TEXTURE_KEYS = ("formula", "texture")  # keys of a number that varies over the surface
-EVERY = "[*]"  # in place of an index
+EVERY = "[*]"  # wildcard index
 _PATH_PART = re.compile(r"([A-Za-z_][A-Za-z_0-9-]*)((?:\[\d+\])*)$")
 
 

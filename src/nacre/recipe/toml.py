@@ -25,7 +25,7 @@ MAX_VALUES = 2_000_000  # upper limit for a file of 4 MiB
 LARGEST_WHOLE = 2**63  # TOML's integers have 64 bits
 MAX_DEPTH = 8  # depth of nested recipes
 _PLACE = re.compile(r"\(at line (\d+), column (\d+)\)")
-_CURLY = "\u201c\u201d\u201e\u2018\u2019\u00ab\u00bb"  # what word processors write for quotes
+_CURLY = "\u201c\u201d\u201e\u2018\u2019\u00ab\u00bb"  # typographic quotation marks
 _DECIMAL_COMMA = re.compile(r"=\s*[-+]?\d+,\d+")
 
 # A dotted key of n parts costs tomllib n^2: 40 GB for a file of 200 kB. Shorter texts need no check.

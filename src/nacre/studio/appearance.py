@@ -59,7 +59,7 @@ QUICK_S = 0.01  # limit for one angle at three wavelengths; layered films need a
 MAX_QUICK_FORMS = 256
 SHOWN_DEG = (0.0, 30.0, 60.0)  # angles of the spectra
 BAND = 12  # wavelengths solved between two checks for a newer request
-RIDGE_ROUGHNESS = 0.5  # for the light fan of ridges
+RIDGE_ROUGHNESS = 0.5  # roughness that approximates the ridges' light fan
 DIFFUSE_NOTE = "Scattered light is drawn as diffuse; the rendered picture shows its lobes."
 GLOSS_NOTE = "Scattered light is drawn as a rough mirror of fitted width over a diffuse part; see the rendered picture."
 ALIGNED_NOTE = "Aligned particles are drawn as seen in the plane of u; the rendered picture includes the azimuth."
@@ -71,7 +71,7 @@ TRANSMITTED_PARTS = ("specular_transmittance", "diffuse_transmittance")
 VISIBLE_TRANSMITTANCE = 0.02
 
 ANGLES_DEG = np.arange(0.0, 91.0)
-MAX_ANGLE_DEG = 88.0  # for integrated spectra: no light arrives at 90 degrees
+MAX_ANGLE_DEG = 88.0  # largest angle for integrated spectra: the irradiance vanishes at 90 degrees
 SLOW_DRAFT_S, FAST_DRAFT_S = 0.3, 0.06  # slower drafts lower the next quality, faster ones raise it
 
 LOBE_SHAPE = (4, 14, 24)  # slices, rows, columns of a lobe image: azimuth, difference angle, square root of half angle
@@ -562,7 +562,7 @@ def _lobe_values(material: Material, bsdf: Bsdf | None, wi: Array, wo: Array) ->
 # Numbers that vary over the surface, for the preview: a map, and the material at nodes of their ranges.
 
 MAP_SIZE = 256  # texels along each side of the map
-NODES = {(True, 1): (48,), (True, 2): (24, 6), (False, 1): (5,), (False, 2): (3, 3)}  # by speed and count of ranges
+NODES = {(True, 1): (48,), (True, 2): (24, 6), (False, 1): (5,), (False, 2): (3, 3)}  # (is quick, range count) -> nodes
 DRAWN = ("thickness_nm", "thickness_um", "thickness_mm", "mask")  # rotations change no colour of a table
 MAX_VARYING = 2
 

@@ -32,7 +32,7 @@ MATERIAL, THUMBNAIL, TABLE, LIBRARY = "material.json", "thumbnail.png", "table",
 THUMBNAIL_PX = 128
 MAX_NUMBERS = 24
 NO_NUMBERS = ("search", "tolerance", "instrument", "seed")  # no part of the appearance of one sample
-TIME = (1980, 1, 1, 0, 0, 0)  # in the zip: equal input gives equal bytes
+TIME = (1980, 1, 1, 0, 0, 0)  # fixed zip time stamp: equal input gives equal bytes
 
 Tell = Callable[[Mapping[str, Any]], None]
 

@@ -47,16 +47,16 @@ IMPROVEMENT = 0.99  # a better solution reduces the objective at least by this f
 MAX_EVALUATION_S = 0.5  # slower models are not evaluated during the search
 FINAL_SHARE = 0.3  # share added to the search time for the final evaluation
 
-GAMUT_POINTS, GAMUT_S = 400, 24.0  # for all angles together
+GAMUT_POINTS, GAMUT_S = 400, 24.0  # totals for all angles
 LOCAL_SHARE = 0.5  # time share for local search towards the targets
 STEPS = (0.15, 0.08, 0.04, 0.02, 0.01, 0.005)  # standard deviations in local search, relative to the bounds
-TRIES = 16  # for each step
+TRIES = 16  # trials with each step size
 OUTLINE_POINTS = 72
 
 FINE_DEG = np.array([*np.arange(0.0, 90.0, 5.0), 88.0])
 QUICK_S = 0.05  # materials slower than this are sampled at few angles
 COARSE_DEG, COARSE_NM = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 88.0]), np.arange(400.0, 701.0, 25.0)
-SCATTER_S, UPDATE_S = 20.0, 1.5  # for all draws; between two events
+SCATTER_S, UPDATE_S = 20.0, 1.5  # time limit for all draws; interval between two events
 MIN_DRAWS = 4
 
 

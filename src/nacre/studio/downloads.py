@@ -47,7 +47,7 @@ OPTIONS = {
     "fabricate": ("levels", "seed", "width_mm", "height_mm"),
     "picture": ("width", "height", "noise", "azimuth", "elevation", "seed"),
 }
-SCENES = ("sphere", "probe", *OBJECTS)  # for rendered pictures on the page
+SCENES = ("sphere", "probe", *OBJECTS)  # scenes for rendered pictures on the page
 SIZES, SECONDS = (128, 640), (1.0, 120.0)
 
 

@@ -62,7 +62,7 @@ LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 8642  # the same at each start: an open page finds a restarted server
 BACKLOG = 64  # connections accepted at once
 WARM_UP_RECIPE = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]}
-IDLE_TIMEOUT_S = 10.0  # for the request head
+IDLE_TIMEOUT_S = 10.0  # time to receive the request head
 MAX_IDLE = 64  # connections
 
 
@@ -366,7 +366,7 @@ MAX_SUFFIX = 16  # characters
 MEDIA = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".jpg": "image/jpeg"}
 REMARKS_HEADER = "x-nacre-remarks"  # remarks on an exported file, as JSON
 JOB_S, FILE_S = 300.0, 1800.0  # time limits
-OVERHEAD_S = 240.0  # beyond the requested seconds: start, compilation, final evaluation
+OVERHEAD_S = 240.0  # added to the requested seconds for start, compilation and final evaluation
 MAX_JOB_BYTES = 4 << 30  # memory limit for streaming jobs
 TABLES = "table.glsl"
 DRAWS, MAX_PERCENT = (4, 400), 50.0

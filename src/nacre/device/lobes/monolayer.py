@@ -98,7 +98,7 @@ HALF = 0xFFFF  # the largest 16-bit number
 COSINE_SHARE = 0.1  # fraction of the samples: covers all directions and bounds the weights
 # mean square weight below which an opaque lobe uses cosine-weighted sampling: 10 % more variance in a sixth of the time
 BROAD = 1.1
-VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 12, 9, 9  # for each side; more nodes do not reduce the noise
+VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 12, 9, 9  # nodes on each side; more do not reduce the noise
 
 AnyMonolayer = TypeVar("AnyMonolayer", bound=MonolayerLobe)
 

@@ -46,8 +46,8 @@ MIDDLE = np.array([0.5, 0.5])
 AMPLITUDE_CUTOFF = 1e-5  # round-trip amplitude below which deeper layers are neglected
 CUTOFF_WAVELENGTHS = 48
 SPREAD_STEP_NM = 5.0
-BASE_COSINES = 513  # at most, of the film over a diffuse base
-BYTES_PER_LAYER = 64  # and wavelength: indices, phases and copies
+BASE_COSINES = 513  # most cosine nodes for a film over a diffuse base
+BYTES_PER_LAYER = 64  # per layer and wavelength: indices, phases and copies
 AZIMUTH_NOTE = (
     "its reflectance depends on the azimuth of the light; pictures and the Bsdf hold the mean over the azimuth, "
     "spectra are exact"

@@ -12,7 +12,7 @@ from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import Texture
 from nacre.core.arrays import Array, direction
 
-SAFETY = 1.002  # on the largest integral, which is evaluated on a grid
+SAFETY = 1.002  # factor on the largest integral, which is evaluated on a grid
 SCAN_ACROSS = np.sin(np.radians([0, 5, 10, 20, 30, 40, 50, 60, 70, 80]))
 SCAN_ALONG = np.sin(np.radians([0, 30, 60]))
 

@@ -198,7 +198,7 @@ MORPHO_SUPERCELLS: dict[str, Any] = {
     + [{"material": CUTICLE, "thickness_nm": 70.0}],
     "ridges": {"count": 5},
 }
-MOST_RIDGES = 10  # in a supercell
+MOST_RIDGES = 10  # limit for ridges in a supercell
 SUPERCELL_KEYS = "width_deviation_nm", "shift_deviation_nm", "draws"
 
 

@@ -25,7 +25,7 @@ MAX_PERIOD_NM = 100_000.0
 MAX_CROSSED_NM = 5_000.0
 MIN_PERIOD_NM = 10.0
 MAX_RATIO = 4.0  # largest over smallest period that varies over the surface
-STEP_NM, CROSSED_STEP_NM = 5.0, 10.0  # between wavelengths; guided modes make lines of 5 to 20 nm
+STEP_NM, CROSSED_STEP_NM = 5.0, 10.0  # wavelength steps; guided modes give lines 5 to 20 nm wide
 PROFILE_KEYS = {
     # key -> profiles that it describes
     "apex": ("triangle", "blazed"),

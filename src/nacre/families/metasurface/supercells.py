@@ -302,7 +302,7 @@ def lift(order: int, height: float) -> ComplexArray:
 #
 # A multipole is n = (m, tau, l) with m from -L to L, flat, as in `translation_sums`; distances are times k.
 
-STEP = 0.05  # in k times distance: cubic interpolation error 1e-5 for touching spheres
+STEP = 0.05  # step in k times distance: cubic interpolation error 1e-5 for touching spheres
 GROWTH = 10.0  # cancellation by e^10 at the largest distance
 LOW = 1.0  # k times the mirror distance below which steep evanescent waves reach far
 SingleComplex = NDArray[np.complex64]

@@ -29,7 +29,7 @@ NARROWEST = 0.03  # normal deviation; narrower lobes fall between the nodes, and
 MIN_ROUGHNESS = 0.04  # GGX alpha; smoother interfaces reflect into less than the node spacing
 SMALL = 1e-6
 CACHED_KINDS = 24  # 1 MB each
-MAX_SQUARES, SERIES_ERROR = 5, 1e-5  # for a Neumann series with squaring
+MAX_SQUARES, SERIES_ERROR = 5, 1e-5  # squarings and error in a Neumann series
 SAME_DIRECTION = 1e-6  # squared difference between equal directions
 
 Single = NDArray[Any]  # float32: half the memory and twice the speed; operators are [wavelength, term, out, in]

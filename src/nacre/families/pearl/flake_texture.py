@@ -37,7 +37,7 @@ INDEX_NM = 550.0
 RESOLUTION = 0.51 / 2.3548  # standard deviation of an image point, half width at half maximum 0.51 wavelengths / NA
 
 
-MOST_TABLES = 128  # in memory, about 130 kB each
+MOST_TABLES = 128  # cached tables, about 130 kB each
 _tables: dict[tuple[object, ...], tuple[Array, Array]] = {}
 _tables_lock = Lock()
 
@@ -283,7 +283,7 @@ MIDDLE_UM = 0.55
 # Airy disc half width for a flake with diameter d in the resin, 0.51 lambda / (n d), as a Gaussian standard deviation
 # (over sqrt(2 ln 2)), halved: a normal turns by half the light's angle
 DIFFRACTION = 0.51 / 1.1774 / 2.0
-SEED_STEP = 7919  # between the seeds of two pigments
+SEED_STEP = 7919  # seed difference between two pigments
 
 
 @dataclass(frozen=True)

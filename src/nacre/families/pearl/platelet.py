@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from nacre.matter.indices.constant import OpticalConstant
 
 
-COS_NODES = 257  # for R and T, uniform in sqrt(cos)
+COS_NODES = 257  # nodes for R and T, uniform in sqrt(cos)
 TABLE_ERROR = 2e-3  # interpolation error midway between R nodes, above which they are doubled
 MAX_COS_NODES = 1025
-ELEVATION_NODES = 257  # for the extinction, uniform in sqrt|cos|
-AZIMUTH_NODES = 9  # for the extinction by anisotropic flakes, uniform over a quarter turn
+ELEVATION_NODES = 257  # nodes for the extinction, uniform in sqrt|cos|
+AZIMUTH_NODES = 9  # nodes for the extinction by anisotropic flakes, uniform over a quarter turn
 QUADRATURE = 64  # points per axis over the visible normals
 
 

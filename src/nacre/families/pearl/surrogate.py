@@ -35,12 +35,12 @@ from nacre.families.pearl.random_walk import CHUNKS, Medium, no_tally, single_sc
 from nacre.families.pearl.strata import Flakes, Stratum
 
 COS_NODES = 65  # half the time for 257 nodes, with an error below 1e-2 R
-FACETS = 1024  # for a rough interface
+FACETS = 1024  # sampled facets on a rough interface
 TRUNCATION = 1e-3  # thickness share that bounds may cut off without effect
 WALK_COS_NODES, WALK_FACETS = 257, 1 << 16
 WIDER = 3.5  # slope variance after three or more platelets, relative to one
 DIFFUSE_COS = 33
-MAX_PIGMENTS = 512  # in memory, about 40 kB each
+MAX_PIGMENTS = 512  # cached pigments, about 40 kB each
 CENTRED = np.full(4, 0.5)  # lattice shift
 BASE_LOBES_ALBEDO = 0.3  # assumed for other lobes below
 SingleArray = NDArray[np.float32]

@@ -28,7 +28,7 @@ IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
 NPY_MAGIC = b"\x93NUMPY"
 # a seam without a counterpart inside: its mean step over the largest mean step of neighbouring rows
 OPEN_SEAM = 8.0
-OPEN_SEAM_OF_MANY = 2.0  # above the feature count of a period
+OPEN_SEAM_OF_MANY = 2.0  # limit for arrays with more samples than a period may have
 TINY_UM, ROUNDING_UM = 1e-3, 1e-12  # range from which heights in um are rather mm or m
 # range over feature from which heights in um are rather nm
 NANOMETRES_ASPECT, NANOMETRES_UM = 20.0, 10.0

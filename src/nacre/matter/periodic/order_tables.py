@@ -46,7 +46,7 @@ from nacre.matter.periodic.structure import (
     reflection,
 )
 
-SYMMETRY_POINTS = 1000  # at which the distance to a shape is compared with that of its image
+SYMMETRY_POINTS = 1000  # points at which distances to a shape and to its mirror image are compared
 MAX_THETA = float(np.radians(89.5))  # larger angles use this one
 FITTED, PROFILE = (91, (1152, 576, 288, 144, 72)), (16, 48)  # nodes in theta and in azimuth
 MOST_NUMBERS, MOST_WORK = 2.4e7, 2e10  # limits: values in the tables; sum of cubed sizes of all linear systems

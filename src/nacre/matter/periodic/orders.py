@@ -17,7 +17,7 @@ from nacre.matter.periodic.types import Array
 from nacre.matter.stack.solve import mueller
 
 VERSION = 19  # raised when numbers change, which invalidates stored solutions
-DESCRIPTION = "orders of the periodic structure"  # in announcements of long work
+DESCRIPTION = "orders of the periodic structure"  # text for progress reports
 MIN_STORED_S = 0.2  # solutions that take less are not stored
 
 

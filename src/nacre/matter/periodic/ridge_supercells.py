@@ -28,9 +28,9 @@ from nacre.core.machine import in_threads
 from nacre.matter.periodic.types import Array
 
 REACH = 1.0  # longest step times the largest wave number
-MORE_ORDERS = 1.65, 3  # orders to each side over the period in wavelengths, and beyond
+MORE_ORDERS = 1.65, 3  # orders to each side: factor on the period in wavelengths, and constant
 GRAZING = 0.03  # orders with a smaller cosine are left out
-SAMPLED = 4000  # ridges in the expected interference
+SAMPLED = 4000  # ridges drawn for the expected interference
 STEEPEST = 3.0  # deviations in standard deviations; larger ones are drawn again
 
 
@@ -294,7 +294,7 @@ STEP_NM = 20.0  # longest step of the solved wavelengths
 SHALLOW = 0.1  # least relative depth of layers
 BEYOND = 0.05  # relative distance outside the solved range from which a solution loses weight
 KEPT = 192  # solutions held in memory
-LEAST_DRAWS = 6  # for a regression
+LEAST_DRAWS = 6  # fewest draws for a regression
 
 
 @dataclass(frozen=True)

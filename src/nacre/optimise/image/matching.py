@@ -27,7 +27,7 @@ CANDIDATES, BATCH = 256, 4096  # levels compared with each colour, and colours a
 STRIDES = (8, 4, 2, 1)  # descent strides over the grid
 HUE_STEP = 1.0  # largest dE00 hue term between colours with equal hue
 WEDGES = 180  # hue wedges with common starts
-MIN_CHROMA = 2.0  # below it, a pixel has no hue
+MIN_CHROMA = 2.0  # pixels below count as grey
 HUE_COST = 2.0  # largest additional dE00 for preserving the hue
 ANY_HUE = -1.0
 

@@ -29,7 +29,7 @@ from nacre.optimise.problem import PENALTY, STOP_TOL, Problem, Search
 
 SCOUTS_PER_PARAMETER = 24
 STEP = 1e-4  # finite difference, relative to the bounds: far above rounding, far below an interference fringe
-STOCHASTIC_STEP = 1e-2  # with Monte Carlo noise at a fixed seed, which is not smooth
+STOCHASTIC_STEP = 1e-2  # step for Monte Carlo estimates, which are not smooth even at a fixed seed
 INSIDE = 1e-6  # scipy requires a start inside the bounds
 
 

@@ -21,7 +21,7 @@ from nacre.optimise.thin_film.merit_kernel import CompiledMerit, evaluate, objec
 FIRST_DAMPING = 1e-2
 MAX_DAMPING = 1e7
 MAX_STEP_NM = 60.0  # a fifth of a fringe in the densest layers, the range of the linear model
-STOP_OBJECTIVE = 0.02  # in tolerances
+STOP_OBJECTIVE = 0.02  # stopping value, in tolerances
 MIN_STEP_NM = 1e-7
 STALL_GAIN = 3e-3  # relative step gain; two smaller ones in a row end a descent
 

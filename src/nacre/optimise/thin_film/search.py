@@ -30,7 +30,7 @@ from nacre.optimise.thin_film.merit_kernel import compile_merit
 
 YIELD_DRAWS = 64  # draws in the search; common random numbers for all stacks
 SEARCH_YIELD_SEED = 20
-METAL_K = 0.7  # at the middle wavelength; opaque after about 100 nm, hence drawn thin
+METAL_K = 0.7  # k at the middle wavelength above which layers are drawn thin: 100 nm are opaque
 COARSE_NM = (384.0, 731.0)  # wavelengths beyond change colours by less than dE00 0.05
 COARSE_STEPS_NM = (15.0, 10.0, 5.0)
 COARSE_LIMITS_NM = (1500.0, 4000.0)  # expected optical thickness up to which the first two steps suffice

@@ -148,7 +148,7 @@ PLAIN, ZIPPED = (b"VK3_", b"VK4_"), (b"VK6", b"VK7")
 MEMBER = "Vk4File"
 MAX_BYTES = 2 << 30
 OFFSETS = 12  # entries in the table of offsets: settings, then pictures; the 7th to 9th are height maps
-LATERAL = 42 * 4  # from the settings: pm per point along x and y, and per digit
+LATERAL = 42 * 4  # offset from the settings to pm per point along x and y, and per digit
 PALETTE = 28 + 768  # head and palette of a map
 CALIBRATION = re.compile(r"xy\s*calibration", re.IGNORECASE)
 DATE = re.compile(r'\s*"?Measure(?:ment|d)?\s+(?:date|data)', re.IGNORECASE)
@@ -375,7 +375,7 @@ BLOCK = struct.Struct("<16shlH")
 ARRAY, FORMS = 3, {6: "<h", 7: "<f", 8: "<d", 12: "<i"}
 HEIGHTS = ("RAW_DATA", "RAW DATA", "SAMPLE_DATA", "OPD", "Raw")
 NUMBERS = {2: "<i2", 4: "<f4"}
-HOLES = {2: 32766.0, 4: 1e38}  # from this value
+HOLES = {2: 32766.0, 4: 1e38}  # values from this one upward are holes
 
 
 def sniff_wyko(head: FileHead) -> float:

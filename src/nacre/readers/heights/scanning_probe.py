@@ -447,7 +447,7 @@ def _pitch_um(axis: Any, name: str, count: int) -> float | None:
 
 BCR_FIRST = "fileformat"
 KINDS = {"bcrstm": "i2", "bcrf": "f4"}
-VOID = {"i2": 32767.0, "f4": 1.7e38}  # from this value
+VOID = {"i2": 32767.0, "f4": 1.7e38}  # values from this one upward are holes
 
 
 def _encoding(data: bytes) -> str:

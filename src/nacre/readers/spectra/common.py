@@ -20,7 +20,7 @@ MAX_METADATA = 40
 VISIBLE_NM = (400.0, 700.0)
 QUANTITIES = ("reflectance", "transmittance", "absorptance", "absorbance", "counts", "irradiance")
 RATIOS = QUANTITIES[:4]
-SCALED = ("reflectance (%)", "reflectance (1)", *QUANTITIES[1:])  # where the scale is not stated either
+SCALED = ("reflectance (%)", "reflectance (1)", *QUANTITIES[1:])  # choices if the scale is not stated either
 
 # the first pattern that a label in lower case contains decides
 _QUANTITIES: tuple[tuple[str, re.Pattern[str]], ...] = tuple(

@@ -27,7 +27,7 @@ from nacre.readers.units import to_nm
 # wavelengths, um, are in a file of the same form beside it, or in the folder above:
 # `splib07a_Wavelengths_BECK_Beckman_0.2-3.0_microns.txt`. Deleted channels hold -1.23e34.
 
-DELETED = -1e30  # at most; the library writes -1.23e34
+DELETED = -1e30  # values up to this one are deleted; the library writes -1.23e34
 MOST = 2.0  # typical reflectance; the library holds factors
 MAX_BYTES = 4 << 20  # size of a wavelength file; the longest has 4,280 rows
 _TITLE = re.compile(r"\s*(splib07\w*|s07_\w+)\s+Record\s*=\s*(\d+)\s*:\s*(.*?)\s*$", re.IGNORECASE)
@@ -496,7 +496,7 @@ def _ordinates(path: Path, lines: list[str]) -> list[float]:
 
 NEW_LITTLE, NEW_BIG, OLD = 0x4B, 0x4C, 0x4D
 _SIXTEEN_BIT, _MANY, _LABELLED, _OWN_X, _HAS_X = 1, 4, 32, 64, 128  # bits of the first byte
-_HEAD = "BBBbIddIBBBBI9s9sH32s130s30sII"  # to the log's offset and the modifications
+_HEAD = "BBBbIddIBBBBI9s9sH32s130s30sII"  # header fields up to the log's offset and the modifications
 _SUB_HEAD = "BbHfffIIf4s"
 _OLD_HEAD = struct.Struct("<BBhfffBB")
 FLOATS = -128  # exponent of floating-point values
