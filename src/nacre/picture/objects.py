@@ -256,7 +256,7 @@ def elements() -> mesh.Mesh:
 
 
 def barrel() -> mesh.Mesh:
-    """Outside with its grip, mouth and floor of the camera lens."""
+    """Camera lens barrel: outside with grip ribs, mouth and floor."""
     rib = mesh.revolve([(0.026, 0.0), (0.026, 0.1), (0.026, 0.5), (0.026, 0.56), (0.0, 0.58)], 12, 12)
     angles = [2 * np.pi * number / _GRIP_RIBS for number in range(_GRIP_RIBS)]
     ribs = [rib.shifted(1.06 * np.cos(angle), 1.06 * np.sin(angle), 0.41) for angle in angles]

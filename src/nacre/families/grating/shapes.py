@@ -45,7 +45,8 @@ OWN = {
     "cell": ("gds",),
     "layer": ("gds",),
 }
-LEFT = {"corner_radius_nm": ("rectangle",), "rotation_deg": KINDS[1:7], "center_nm": KINDS[:7]}  # key -> new shapes that keep it
+# key -> new shapes that keep it
+LEFT = {"corner_radius_nm": ("rectangle",), "rotation_deg": KINDS[1:7], "center_nm": KINDS[:7]}
 NEW_NM = 100.0  # size of a shape that replaces a drawing
 MAX_PIXELS = 1024
 SAMPLES = 256  # a side, in the search for overlaps

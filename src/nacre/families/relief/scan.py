@@ -76,7 +76,7 @@ class Scan:
     Attributes:
         heights_nm: `[x, y]`, without holes and without the least-squares plane.
         pitch_nm: point distance.
-        tilt: slopes (x, y) of the plane, if the light is to see it.
+        tilt: slopes (x, y) of the plane; 0 if it is not part of the optical surface.
         statistics: "scan", "random", "isotropic", or None for the choice by `suggested`.
         figures: Sq and others, for reports.
         remarks: corrections applied to the heights.

@@ -251,7 +251,7 @@ class ElementMesh:
         return found[0], found[1]
 
     def plane_waves(self, wave: Array, numbers: Array) -> Array:
-        """Return the integrals of x and y of the local edge functions with plane waves `[2, local, order]`.
+        """Return the overlap integrals between local edge functions (x and y) and plane waves, `[2, local, order]`.
 
         Args:
             wave: wave vector of order (0, 0) in 1/nm.

@@ -132,7 +132,7 @@ class SurrogateError:
     Attributes:
         relative: standard error for the approximate part; None if unknown.
         exact_error: relative error of the exact part, which uses coarser tables than the walk.
-        similarity: mean log difference between two approximations whose estimates apply to each other.
+        similarity: scale of the mean log difference between approximations over which estimates are shared.
         estimates: walks, approximation, rest and its error per estimate.
     """
 
