@@ -441,7 +441,7 @@ def _advice_for_all(likelihood: _Likelihood, factors: Array, covariance: Array) 
 
 
 def _first_pair(likelihood: _Likelihood, serves: Callable[[Sequence[SpectrumObservation], float], bool]) -> str:
-    """Return the first pair of s and p spectra that serves, as a sentence, or ""."""
+    """Return the first useful pair of s and p spectra as a sentence, or ""."""
     grids = [
         np.asarray(grid)
         for each in likelihood.observations

@@ -355,7 +355,7 @@ class EllipsometryData:
         return None
 
     def noise_scale(self, weights: str) -> Array:
-        """Return the relative noise of the values, with the rms of the values as its rms."""
+        """Return the relative noise of the values, scaled so that its rms equals theirs."""
         rms = float(np.sqrt(np.mean(self.values**2))) or 1.0
         if self.errors is None:
             return np.full(self.values.shape, rms)

@@ -279,7 +279,7 @@ def run_fit(
         material: the recipe; its own values are the first start.
         measured: from `read_measurement`.
         free: from `fit_parameters`.
-        starts: refined starts in addition to the recipe's own values; 0: these are near the right minimum.
+        starts: refined starts in addition to the recipe's own values; 0 if these are near the right minimum.
         scouts: trial materials per parameter, from which the starts are selected.
         weights: "equal" if the noise is the same for all values, or as a file's standard errors say; "relative" if it
             is proportional to them (counts, BSDF values over decades); the intervals are valid for that noise.

@@ -54,7 +54,7 @@ class Data(Protocol):
         ...
 
     def noise_scale(self, weights: str) -> Array:
-        """Return the relative noise of the values, with their rms as its rms."""
+        """Return the relative noise of the values, scaled so that its rms equals theirs."""
         ...
 
 

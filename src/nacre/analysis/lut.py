@@ -66,8 +66,8 @@ def entered(response: InterfaceResponse, to_rgb: ToRgb) -> InterfaceResponse:
     """Return an interface in three channels for the light inside a body that came through the same interface.
 
     This light has the spectrum of the transmittance T: its reflectance R has the colour <T R> / <T>, and T has
-    <T T> / <T>. Products of the channel means <T> alone hold too little light that crosses a body, and too much that
-    stays inside. Under uniform light both are exact.
+    <T T> / <T>. Products of the channel means <T> underestimate the light that crosses a body and overestimate the
+    light that stays inside. Under uniform light both are exact.
     """
     plain, passed = coloured(response, to_rgb), response.transmittance
     is_seen = plain.transmittance > LEAST_PASSED

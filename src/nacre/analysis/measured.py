@@ -162,7 +162,7 @@ def spectrum_measurement(
         range_nm: rows of other wavelengths are ignored.
 
     Raises:
-        AmbiguousFileError: no heading says what the values are, or there are several spectra.
+        AmbiguousFileError: the headings do not state the quantity, or there are several spectra.
         NacreError: no reflectance or transmittance, holes, or impossible values.
     """
     if options.quantity is None and any(said.startswith("no heading") for each in found for said in each.assumed):
@@ -318,7 +318,7 @@ def _without_repeated_rows(one: _Series) -> _Series:
 
 
 def _check_modes(path: Path, parts: Sequence[str], remarks: tuple[str, ...]) -> None:
-    """Refuse a column that says specular, diffuse or total beside one that does not."""
+    """Refuse a mixture of columns with and without a stated part (specular, diffuse or total)."""
     assumed = {f"specular_{sentence.split()[0]}" for sentence in remarks if sentence.endswith("is taken as specular")}
     stated = [part for part in parts if POLARISED.get(part, (part,))[0] not in assumed]
     if assumed and stated:

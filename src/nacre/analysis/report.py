@@ -383,7 +383,7 @@ def compare(
     """Return a report's colour differences from a standard.
 
     Args:
-        formula: of `nacre.light.colour_difference`; the standard is its first colour. "din6175-2" compares aspecular
+        formula: from `nacre.light.colour_difference`; the standard is its first colour. "din6175-2" compares aspecular
             geometries only.
         limits: geometry ("45as15", "specular 45", a name) -> largest accepted difference; "" holds for all others.
 

@@ -1,4 +1,4 @@
-"""Resolved flakes: glints as a factor on the light reflected once by a flake, and flakes as a camera sees them.
+"""Resolved flakes: glints as a factor on the light reflected once by a flake, and flakes in a camera image.
 
 The surface is a grid of cells with K flakes each: discs with random centre, radius and normal from an integer hash of
 the cell. With t the slope of the half vector over the flakes' deviation, the factor at a point is

@@ -482,7 +482,7 @@ class AnisotropicTables(StackTables):
         return COS_NODES_SPREAD if has_spread else COS_NODES
 
     def lit(self, thicknesses_nm: Array, *, from_above: bool) -> Stack:
-        """Return the stack with these thicknesses as light meets it; from below, it is turned about u."""
+        """Return the stack with these thicknesses, seen from the light's side; from below, it is turned about u."""
         layers = [
             dataclasses.replace(e, thickness_nm=float(d))
             for e, d in zip(self.stack.layers, thicknesses_nm, strict=True)

@@ -29,7 +29,7 @@ class UnsupportedError(NacreError):
 
 
 class MachineError(NacreError):
-    """The machine lacks something (LLVM, a writable folder); the message says what to do."""
+    """The machine lacks a requirement (LLVM, a writable folder); the message states the remedy."""
 
 
 def did_you_mean(got: str, allowed: Iterable[str]) -> str:

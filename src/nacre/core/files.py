@@ -48,12 +48,12 @@ class Process:
 
     @property
     def is_here(self) -> bool:
-        """Whether it belongs to this machine or container."""
+        """Whether the process belongs to this machine or container."""
         return self.host == _host()
 
     @property
     def is_dead(self) -> bool:
-        """Whether it has ended; always False for another machine."""
+        """Whether the process has ended; always False for another machine."""
         return self.is_here and _started(self.pid) not in (self.started, 0)
 
 

@@ -130,7 +130,7 @@ def _announcer(description: str) -> Callable[[int, int], None]:
 
 
 def _apply(work: Callable[[Any], Any], item: Any) -> Any:
-    """Run in a worker, with single-threaded BLAS as `in_threads` has it."""
+    """Run in a worker, with single-threaded BLAS as in `in_threads`."""
     with single_threaded_blas():
         return work(item)
 

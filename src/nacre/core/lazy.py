@@ -64,7 +64,7 @@ def _giver(point: EntryPoint) -> str:
     return point.dist.name if point.dist is not None else point.value
 
 
-# package -> what it serves, and the extra that brings it ("" for nacre itself)
+# package -> its purpose, and the extra that installs it ("" for nacre itself)
 SERVES = {
     "mitsuba": ("pictures", ""),
     "drjit": ("pictures", ""),
@@ -81,7 +81,7 @@ SERVES = {
 
 
 def missing_line(package: str) -> str:
-    """Return one line that names a missing package, what it serves and the command that brings it; "" for others.
+    """Return one line that names a missing package, its purpose and the command that installs it; "" for others.
 
     Example: `missing_line("zarr.storage")` ends with `pip install 'nacre[study]'`.
     """

@@ -2,7 +2,7 @@
 
 Code that allocates an array whose size depends on user input calls `check_memory` first. The limit is a quarter of the
 memory of the machine or its container, which leaves room for copies and the program; `NACRE_MEMORY` sets another one.
-The rest serves threads: their number, parallel loops, and the BLAS thread limit.
+The module also has the thread count, parallel loops, and the BLAS thread limit.
 """
 
 import contextlib

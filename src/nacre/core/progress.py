@@ -62,7 +62,7 @@ def progress_bar(title: str, wanted: bool | ProgressCallback | None) -> Iterator
         task = bar.add_task(title, total=1, left=FIRST_PASS)
 
         def show(done: int, total: int, seconds_left: float) -> None:
-            # the first pass compiles: its time says little about the others
+            # the first pass compiles: its time does not predict the others
             left = f"about {duration(seconds_left)} left" if 1 < done < total else ""
             bar.update(task, total=total, completed=done, left=left)
 

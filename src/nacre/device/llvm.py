@@ -141,7 +141,7 @@ def use_gather_instructions() -> None:
         return
     import drjit as dr
 
-    if not dr.has_backend(dr.JitBackend.LLVM):  # waits for drjit to start it, too
+    if not dr.has_backend(dr.JitBackend.LLVM):  # this also waits for drjit to start it
         return
     try:
         core = ctypes.CDLL(str(Path(dr.__file__).parent / "libdrjit-core.so"))

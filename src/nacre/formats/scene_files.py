@@ -1,7 +1,7 @@
 """Materials in scene files: glTF (.gltf, .glb) with a film on a mesh, MaterialX documents, and USD text (.usda).
 
-The number of `KHR_materials_iridescence` that varies is the thickness: a picture between minimum and maximum, in its
-green channel. glTF counts v downward.
+In `KHR_materials_iridescence` only the thickness may vary: the green channel of a texture interpolates between minimum
+and maximum. In glTF, v increases downward.
 
 In USD, a MaterialX node becomes a `Shader` prim whose `info:id` is the name of its node definition in the MaterialX
 standard library; the material's output is `outputs:mtlx:surface`, as UsdMtlx writes it, with the version of MaterialX

@@ -355,7 +355,7 @@ class Material:
         A method that the recipe names is retained. Materials made of the result by `vary` have low fidelity too.
 
         Args:
-            is_reported: whether the user knows of the replaced method, so that no warning is logged.
+            is_reported: whether the replaced method has been reported, which suppresses the warning.
             is_corrected: whether converged orders follow, so that coarse ones need no warning.
         """
         if self.context.is_low_fidelity or isinstance(self.model, StoredBsdf):
@@ -416,7 +416,7 @@ def _load_entry(path: Path) -> Bsdf:
     """Read an entry of the disk cache.
 
     Raises:
-        NacreError: it is damaged, or belongs to another key.
+        NacreError: the file is damaged, or belongs to another key.
     """
     found = Bsdf.load(path)
     if found.provenance.get(ENTRY) != path.stem:

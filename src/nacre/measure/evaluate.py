@@ -384,7 +384,7 @@ class SelectiveBand:
 def ellipsometric_angles(mueller: Array) -> tuple[Array, Array]:
     """Return Psi in [0, 90] and Delta in [0, 360) degrees of Mueller matrices `[..., 4, 4]`, as instruments print them.
 
-    Delta counts for fields exp(+i w t). Of a matrix that mixes s and p they are those of its N, C and S.
+    Delta counts for fields exp(+i w t). For a matrix that mixes s and p they follow from its N, C and S.
     """
     n, c, s = -mueller[..., 0, 1], mueller[..., 2, 2], mueller[..., 2, 3]
     psi = 0.5 * np.degrees(np.arctan2(np.hypot(c, s), n))

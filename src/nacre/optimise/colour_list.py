@@ -78,8 +78,8 @@ def read_colours(
         targets: target count.
         light: illuminant and observer of the targets; other ones in headings are adapted by Bradford's transform, and
             a warning says so. Default: those of the headings.
-        geometries: of the targets, "specular 15"; colours at several angles are assigned by them.
-        quantities: of texture targets, "sparkle_45", that columns of a table with headings may name.
+        geometries: target geometries such as "specular 15", to which colours at several angles are assigned.
+        quantities: texture quantities such as "sparkle_45" that column headings may name.
 
     Raises:
         RecipeError: an entry is not a colour; with its line.

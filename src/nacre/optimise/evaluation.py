@@ -43,7 +43,7 @@ HUE_WINDOW_DEG = 60.0
 
 @dataclass(frozen=True)
 class TargetResult:
-    """What a solution reaches of one target under one lamp.
+    """Result for one target under one lamp.
 
     Attributes:
         target: the target.

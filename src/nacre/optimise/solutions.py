@@ -92,7 +92,7 @@ class DesignProgress:
     """Design progress.
 
     Attributes:
-        worst: largest weight x distance / tolerance so far; below 1 all targets are met. Of a relief its loss.
+        worst: largest weight x distance / tolerance so far; below 1 all targets are met. For a relief: its loss.
         seconds, seconds_left: spent and left.
         evaluations: spent.
         description: the state in words.

@@ -170,7 +170,7 @@ def check_light(light: LightSpec, context: RecipeContext) -> None:
     """Refuse unknown lamps and observers.
 
     Raises:
-        RecipeError: with a guess.
+        RecipeError: with a suggestion.
     """
     for lamp in light.illuminants:
         if lamp not in ILLUMINANTS:

@@ -354,7 +354,7 @@ def check_layers(layers: LayersSpec, base: Material, source: str) -> None:
     """Refuse invalid palettes, substrates and bounds.
 
     Raises:
-        RecipeError: naming the key, with a guess.
+        RecipeError: naming the key, with a suggestion.
     """
     for name, values in (("palette", layers.palette), ("substrate", substrates(layers))):
         for value in values:
@@ -412,7 +412,7 @@ def check_index(value: Any, where: str, context: RecipeContext) -> IndexSpec:
     """Return a validated optical constant.
 
     Raises:
-        RecipeError: it is not known; with a guess.
+        RecipeError: it is not known; with a suggestion.
     """
     try:
         found: IndexSpec = validate(_Holder, {"value": value}, RecipeContext("", context.folder)).value

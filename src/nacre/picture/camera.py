@@ -18,7 +18,7 @@ FOV_DEG = (1.0, 120.0)
 ZOOM = (0.05, 50.0)
 LOWEST_CAMERA = 0.05  # smallest height above the floor
 FRAME_SHARE = 0.94  # usable share of the frame
-FARTHEST = 16.0  # times the distance of the scene's camera
+FARTHEST = 16.0  # largest distance, relative to the scene's camera
 
 Point = tuple[float, float, float]
 

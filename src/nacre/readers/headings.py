@@ -75,7 +75,7 @@ class Meaning:
         angle_deg: incidence angle (of a colour: of the geometry) in the heading.
         polarisation: "s", "p", "unpolarised", or "".
         mode: "specular", "diffuse", "total", or "".
-        illuminant, observer: of a colour; the observer is "2" or "10".
+        illuminant, observer: reference for a colour; the observer is "2" or "10".
         number: index of a repeated quantity, as in L1, a1, b1.
         is_negated: whether the column holds the quantity with the other sign, as "-k".
     """

@@ -82,7 +82,7 @@ class ReadOptions:
 
 
 class AmbiguousFileError(NacreError):
-    """A file can be read in several ways; the command line asks on a terminal.
+    """A file can be read in several ways; the command line prompts on a terminal.
 
     Attributes:
         option: name of the `ReadOptions` field that decides.

@@ -175,7 +175,7 @@ class TextTable:
     Attributes:
         path: the file.
         headings: one per column; empty if there is no line of headings.
-        units: of a unit row or of the cells themselves; "" where there is none.
+        units: from a unit row or from the cells themselves; "" if absent.
         rows: the cells of each row, as text.
         lines: line number of each row.
         titles: text lines and remarks between the previous block and this one, headings excluded.

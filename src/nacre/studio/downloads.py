@@ -30,7 +30,7 @@ from nacre.studio.surroundings import NAMES
 if TYPE_CHECKING:
     from nacre.picture.images import RenderResult
 
-MAX_RECIPES = 2  # in a report
+MAX_RECIPES = 2  # recipes in a report
 MAX_FILE = 96 << 20  # bytes; the command is unlimited
 KINDS = ("aspecular", "specular", "geometries")  # colour tables in a report
 MAX_REMARKS = 30

@@ -88,8 +88,8 @@ class LayeredPlugin(LobePlugin):
         """Run a random walk with a connection to `wo` at each vertex; the density is the proxy's.
 
         A path tracer requests value and sample together, and Mitsuba calls `eval_pdf`, then `sample`, for the same
-        interaction. One walk serves both: it is connected to `wo` on its way and leaves at random. The noise of the two
-        is correlated, which does not add bias, since the contributions are summed.
+        interaction. One walk yields both: its vertices are connected to `wo`, and it leaves at random. The noise in both is
+        correlated, which does not add bias, since the contributions are summed.
         """
         if not dr.flag(dr.JitFlag.SymbolicScope):  # direct calls may repeat their arguments: independent walks
             return self.eval(ctx, si, wo, active, enabled), self.pdf(ctx, si, wo, active, enabled)

@@ -53,7 +53,7 @@ class MaskedPlugin(LobePlugin[MaskedLobe]):
         self._mask = _shared(lobe.mask)
         if lobe.nodes is not None:
             at, nodes = float(lobe.nodes[lobe.node]), lobe.nodes
-            # beyond the end nodes the weight stays 1: an infinitely distant flank
+            # beyond the end nodes the weight is 1: an infinitely distant flank
             below = at - float(nodes[lobe.node - 1]) if lobe.node > 0 else math.inf
             above = float(nodes[lobe.node + 1]) - at if lobe.node + 1 < len(nodes) else math.inf
             self._at, self._rise, self._fall = opaque(at), opaque(1.0 / below), opaque(1.0 / above)

@@ -245,7 +245,7 @@ def with_interface_layers(
 ) -> list[FilmLayer]:
     """Return layers with an effective medium at each rough interface: Bruggeman's mixture of equal parts.
 
-    It takes half of its thickness from either layer, so that the total thickness stays.
+    It takes half its thickness from each adjacent layer, which preserves the total thickness.
 
     Args:
         layers: from the light inward.

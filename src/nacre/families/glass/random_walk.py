@@ -156,7 +156,7 @@ def _enter(cos_i, index, face):
 
 @compiled(nogil=True, fastmath=True)
 def _meet_face(cos_in, index, face):
-    """Meet a face from inside: whether the light stays, its cosine afterwards, and the share that is not lost."""
+    """Reflect or transmit light at a face from inside; return whether it stays, its cosine and the retained share."""
     sine = math.sqrt(max(1.0 - cos_in * cos_in, 0.0))
     _, _, mz, cos, share, cos_t = sample_inner_facet(sine, 0.0, cos_in, index, face.alpha)
     stays = np.random.random() < share

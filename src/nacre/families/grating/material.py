@@ -180,7 +180,7 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Whether the orders are narrower than the recipe asks."""
+        """A warning if the orders are narrower than the requested width."""
         width, asked = np.degrees([self.order_width_rad, self.spread.angle_rad])
         if width > 0.99 * asked:
             return ()

@@ -557,7 +557,7 @@ def _oriented_normal(d, axes, frame, local, m):
 
 @compiled(nogil=True)
 def _reflect_at_face(d, index, alpha, down):
-    """Reflect light internally at the upper (`down` = 1) or lower (-1) interface; return whether it stays inside."""
+    """Reflect light internally at the upper (`down` = 1) or lower (-1) interface; return whether it remains inside."""
     z = d[2] * down
     mx, my, mz, cos, share, _ = sample_inner_facet(d[0], d[1], z, index, alpha)
     d[0], d[1], z = reflect_inside(d[0], d[1], z, mx, my, mz, cos, share, alpha)
@@ -567,7 +567,7 @@ def _reflect_at_face(d, index, alpha, down):
 
 @compiled(nogil=True)
 def _meet_base(d, kind, table, index, alpha, f, share):
-    """Reflect light at the base; return whether it goes on."""
+    """Reflect light at the base; return whether the path continues."""
     if kind == 0:
         return _reflect_at_face(d, index, alpha, -1.0)
     if kind == 1:
@@ -586,7 +586,7 @@ def _meet_base(d, kind, table, index, alpha, f, share):
 
 @compiled(nogil=True)
 def _meet_oriented(d, k, flakes, tables, f, scratch, out):
-    """Scatter or absorb light at platelet `k`, and add lost energy to `out`; return whether the path goes on."""
+    """Scatter or absorb light at platelet `k`, and add lost energy to `out`; return whether the path continues."""
     _, axes, frame = flakes
     reflect, transmit, lose, _ = tables
     r, t, local, m = scratch

@@ -48,8 +48,8 @@ NEGLIGIBLE = 1e-12  # fraction of a Gaussian's peak that is negligible in single
 GUARD_COSINES, GUARD_AZIMUTHS, GUARD_WAVELENGTHS = 21, 48, 8
 GUARD_ROUNDS = 60
 LEAST_GUARDED_COSINE = 1e-4
-# allowed albedo over Fresnel: smooth reliefs conserve energy to 0.1 % and must not be scaled; between the guard's nodes
-# the albedo is lower, as they hold the maximum of their neighbourhood
+# allowed albedo over Fresnel: smooth reliefs conserve energy to 0.1 % and must not be scaled; each guard node holds the
+# maximum in its neighbourhood, so the albedo is lower between nodes
 GUARD_AIM = 1.0005
 COSINES = np.linspace(0.0, 1.0, 65)  # cosines at which the coating's reflectance is tabulated
 EXCESS_ANGLES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0)
@@ -68,7 +68,7 @@ class MapReport:
         xi_nodes, psi_nodes: table size.
         psi_error: relative L2 error of the psi grid; larger than allowed if memory limits the step.
         excess: `[angle]`, largest albedo over Fresnel before scaling, at 0, 30, 60, 75 and 85 degrees.
-        statistics: of a scan, "scan", "random" or "isotropic".
+        statistics: "scan", "random" or "isotropic" for a scan.
         windows: windows of a scan.
         noise: relative standard deviation of a scan's scatter in one direction.
     """

@@ -265,7 +265,7 @@ class Blocks:
         return ""
 
     def layers(self, cover: complex, body: complex) -> tuple[PatternLayer, ...]:
-        """Return the steps between neighbouring heights, from the top down, of two permittivities.
+        """Return one layer between neighbouring heights each, from the top down, with two permittivities.
 
         The origin is in the middle of the highest blocks: a mirror symmetry there saves time.
         """

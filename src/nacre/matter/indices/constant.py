@@ -1,7 +1,7 @@
 """Optical constants: n + ik of a material by name, database entry, formula or table.
 
 `index("Ag").n_complex(wavelengths_nm)` is the interface to the optics. Outside the published range it raises an error,
-unless `extrapolate="edge"` asks for the end values.
+unless `extrapolate="edge"` selects the end values.
 
 Every named material covers 360-830 nm. Most names in `materials.toml` are one entry of the refractiveindex.info
 database. If no entry covers the range, `splice` describes the substitute, and `nacre indices show` prints it.

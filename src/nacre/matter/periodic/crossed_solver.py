@@ -466,15 +466,15 @@ def _circle(
 ) -> tuple[Array, list[tuple[_Keyed, ...] | None]]:  # fmt: skip
     """Return the orders in a circle, `least` among them, and the shapes of each layer.
 
-    Its centre is the order nearest to the normal: light that comes back along an order then has the same waves, so that
-    both are reciprocal.
+    Its centre is the order nearest to the normal. Light incident along an order then has the same set of orders, which
+    makes solutions reciprocal.
     """
     cell = stack.cell
     assert cell.period_y is not None
     # orders within a circle of wave numbers, as many as a square lattice of this cell would have in that radius
     area = cell.period_x * cell.period_y * np.sin(cell.angle_rad)
     unit = 2.0 * np.pi / np.sqrt(area)
-    # the orders that propagate must be among them, and some beyond
+    # include all propagating orders and some evanescent ones
     radius = max(radius, int(np.ceil(2.0 * stack.reach * k0 / unit)) + radius - FOURIER_STEPS[0] + 1)
     reach = radius * unit
     count = int(np.ceil(radius * max(cell.period_x, cell.period_y) / np.sqrt(area))) + 1

@@ -290,7 +290,7 @@ def fitted(channels: Channels, values: Array, counts: Counts, images: list[Symme
 
 
 def next_counts(fit: Fit, tail: float) -> Counts | None:
-    """Return the nodes that bring the last coefficients below `tail`, by their rate of decay; None: they are."""
+    """Return node counts, extrapolated from the decay, for last coefficients below `tail`; None if they are already."""
     found = []
     sizes = np.abs(fit.coefficients).max(axis=(2, 3))
     for axis, last in enumerate(fit.tails):

@@ -264,7 +264,7 @@ def _with_pitch(layer: PolarisedLayer, deviate: float) -> PolarisedLayer:
 def _blurred(
     weight: float, stack: list[PolarisedLayer], i: int, waves: Array, is_alone: bool
 ) -> list[tuple[float, float, list[PolarisedLayer]]]:
-    """Return a stack with thicknesses of layer i spread over some fringes, which averages them out."""
+    """Return weighted stacks with layer i's thickness spread over some fringes, which averages interference."""
     layer = stack[i]
     n = np.sqrt(np.trace(layer.permittivity, axis1=-2, axis2=-1).real / 3)
     fringe = float(np.mean(waves / (2 * n)))

@@ -72,7 +72,7 @@ def _add(count, box, cells, seed, start, shrink, tries, xy):  # type: ignore[no-
 
     The distance begins at `start` and is multiplied by `shrink`, down to 1, after `tries` failures in a row.
     """
-    np.random.seed(seed)  # noqa: NPY002  # numba knows the generator of its own thread only
+    np.random.seed(seed)  # noqa: NPY002  # numba has its own generator per thread
     side = box / cells
     grid = np.full((cells, cells, 2), -1.0)
     wrap = (np.arange(cells + 4) - 2) % cells
@@ -113,7 +113,7 @@ def _add(count, box, cells, seed, start, shrink, tries, xy):  # type: ignore[no-
 @compiled(nogil=True)
 def _move(xy, box, cells, seed, sweeps, step):  # type: ignore[no-untyped-def]  # numba
     """Sequential Metropolis moves for hard disks with diameter 1; return the accepted share."""
-    np.random.seed(seed)  # noqa: NPY002  # numba knows the generator of its own thread only
+    np.random.seed(seed)  # noqa: NPY002  # numba has its own generator per thread
     side = box / cells
     grid = np.full((cells, cells, 2), -1.0)
     wrap = (np.arange(cells + 4) - 2) % cells

@@ -715,7 +715,7 @@ class SolvedBody(Body):
 
     @cached_property
     def lmax(self) -> int:  # type: ignore[override]
-        """Highest multipole order: as for Mie series, and at least what a near stack needs.
+        """Highest multipole order: as for Mie series, and at least the order required by a near stack.
 
         Raises:
             UnsupportedError: the particle is too large.
