@@ -104,7 +104,7 @@ def evaluate(
         samples, seed: number per pair and seed of random walks, for stochastic lobes (pearls).
 
     Raises:
-        UnsupportedError: the lobe needs a random walk, and there is no LLVM on this machine.
+        UnsupportedError: the lobe needs a random walk, and this machine lacks LLVM.
     """
     return evaluate_with_error(as_bsdf(thing), wi, wo, uv=uv, samples=samples, seed=seed)[0]
 
@@ -234,7 +234,7 @@ def fit(
         angle_deg, delta_convention: properties that an ellipsometer's file does not state.
 
     Raises:
-        NacreError: the measurement cannot be read, or there is no parameter.
+        NacreError: the measurement cannot be read, or parameters are missing.
     """
     if report is not None:
         check_output(report, ".html", option="")

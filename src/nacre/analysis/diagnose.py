@@ -107,7 +107,7 @@ class Suspect:
         probability: posterior probability that this cause alone deviates.
         factor, factor_error: deviation as the single cause in prior standard deviations, and its posterior width.
         changes: path -> deviation from the nominal value, as the single cause; `errors`: its standard deviation.
-        chi2: of the measurement, as the single cause.
+        chi2: chi-square as the single cause.
     """
 
     name: str
@@ -125,11 +125,11 @@ class Diagnosis:
 
     Attributes:
         suspects: single causes, most probable first.
-        nominal_chi2: of the recipe as it is; `points`: number of measured values.
+        nominal_chi2: chi-square of the unchanged recipe; `points`: number of measured values.
         names: all causes; `factors`, `factor_errors`: their maximum a posteriori if all deviate, in prior standard
-            deviations, and posterior widths (1: the measurement says nothing).
+            deviations, and posterior widths (1: the measurement adds no information).
         correlation: posterior correlation of the causes `[cause, cause]`.
-        all_chi2: of the measurement at this maximum.
+        all_chi2: chi-square at this maximum.
         verdict: "within noise", "one cause", "ambiguous", "several causes" or "unexplained".
         advice: a further measurement that separates the most probable causes; empty if none is needed or found.
         material: the recipe with the most probable single cause, or with all causes.
@@ -498,7 +498,7 @@ class StackBatch:
     """Observed values as functions of the thicknesses.
 
     Attributes:
-        thicknesses_nm: `[layer]`, of the recipe.
+        thicknesses_nm: `[layer]`, the recipe's values.
         slopes: path -> derivative of the thicknesses `[layer]` with respect to a number of the recipe.
         nominal: path -> the recipe's number.
         rows: spectra in the values' order.

@@ -170,7 +170,7 @@ def specular_stack(material: Material) -> Stack:
     """Return a material's stack.
 
     Raises:
-        UnsupportedError: it has none.
+        UnsupportedError: the material has no ellipsometric quantities.
     """
     if not isinstance(material.model, SpecularStack):
         noun = material.model.traits.noun

@@ -174,7 +174,7 @@ class ColourData:
         """Return the data with its geometries.
 
         Raises:
-            RecipeError: a label is not a geometry and no recipe name.
+            RecipeError: a label is neither a geometry nor a name in the recipe.
         """
         named = recipe_geometries(material)
         where = f"{self.name or 'colour'}: geometry"

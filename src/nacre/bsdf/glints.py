@@ -175,7 +175,7 @@ class LitFlakes:
         radii_um: `[quantile]`, on uniform nodes.
         blur_um: standard deviation of the image of a point, on the surface, along one axis.
         half: `[2]`, slope of the half vector in the resin.
-        variance: `[2]`, of the slope between half vector and normal, along x and y, without diffraction.
+        variance: `[2]`, slope variance between half vector and normal, along x and y, without diffraction.
         diffraction_um: standard deviation of that slope by diffraction, times the diameter in um.
         density: density of the flakes' slopes `[..., 2]`, weighted by projected area; integrates to the projected area
             of all flakes over that of the same flakes lying flat.
@@ -208,9 +208,9 @@ class DiffuseFlakes:
         coverage: projected area of the discs over the surface's area.
         radii_um: `[quantile]`, on uniform nodes.
         facing: `[quantile]`, cosine between normal and viewer, on uniform nodes.
-        luminance: `[depth, cos]`, of a flake, on uniform nodes; it contains the way of the light to the flake and the
-            absorption of the resin, not the flakes between it and the viewer.
-        transmittance: `[cos]`, of a flake, on uniform nodes.
+        luminance: `[depth, cos]`, a flake's luminance on uniform nodes; it includes the light's path to the flake and
+            absorption in the resin, but excludes flakes between this one and the viewer.
+        transmittance: `[cos]`, a flake's transmittance on uniform nodes.
     """
 
     stratum: int

@@ -422,7 +422,7 @@ MAX_IMAGE_PIXELS = 64_000_000
 BYTES_A_PIXEL = 24  # original, double-precision and scaled copies
 ROUNDING = 1e-5  # tolerance of floating-point images beyond black and white
 REPORTED_GAPS = 0.01  # undefined share of the surface above which a warning is logged
-FORMULA_SAMPLES = 257  # along u and v
+FORMULA_SAMPLES = 257  # samples along u and v
 PLACE_SAMPLES, SURFACE_SAMPLES = 17, 9  # sample counts for formulas in x, y, z: along each axis, and along u and v
 
 

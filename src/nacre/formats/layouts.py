@@ -295,8 +295,8 @@ def read_curve(
     Args:
         path: the table.
         noun: used in messages, such as "calibration curve".
-        second_unit: "um" or "nm", of the second column.
-        first, second: columns of the vocabulary; without them any two headings are taken, a length second.
+        second_unit: "um" or "nm", the second column's unit.
+        first, second: columns of the vocabulary; default: any two headings, the second one a length.
 
     Returns:
         `[point, 2]`, and the two headings, if there are any.

@@ -287,7 +287,7 @@ def directional_hemispherical(bsdf: Bsdf, wi: Array, uv: Array | None = None, no
 def bsdf_spectrum(
     bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: int = 0, *, diffuse: bool = True, nodes: int = 64
 ) -> Spectrum:
-    """Return the spectra of a Bsdf: delta parts (rough films: of the smooth stack) and integrated diffuse parts.
+    """Return the spectra of a Bsdf: delta parts (rough films: as smooth) and integrated diffuse parts.
 
     A base under a rough film has its values under the smooth film, for consistency. Light is incident in the plane
     y = 0.

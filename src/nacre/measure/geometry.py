@@ -165,7 +165,7 @@ class Geometry:
 
     @property
     def wo(self) -> Array:
-        """Direction to the viewer `[3]` for light from +x: of the mirror direction unless aspecular."""
+        """Direction towards the viewer `[3]` for light from +x: the mirror direction unless aspecular."""
         if self.azimuth_deg == IN_PLANE_DEG:
             return aspecular_direction(self.theta_deg, self.aspecular_deg)
         theta, angle, turn = np.radians([self.theta_deg, self.aspecular_deg, self.azimuth_deg])

@@ -109,7 +109,7 @@ class Formula:
         amount_errors: its standard error for colours measured within `COLOUR_NOISE`; large if the paint hides its
             base, because the colours then fix the ratios only.
         mass_shares: ingredient -> share of the mass of the dry paint.
-        cost_per_kg, cost_per_m2: of the dry stratum, in the library's currency.
+        cost_per_kg, cost_per_m2: cost of the dry stratum, in the library's currency.
         de00: `[geometry]`, by the random walk; for a spectrum the rms in per cent.
         lab: `[geometry, 3]` under the first lamp.
         texture: quantity of a target -> number and its deviation from the target in per cent.
@@ -183,7 +183,7 @@ class Task:
     geometries: tuple[Geometry, ...]
     merit: MeritFunction
     start: Material
-    files: Mapping[str, str]  # name -> digest, of all that the target names
+    files: Mapping[str, str]  # name -> digest, for all files that the target names
 
     @property
     def fingerprint(self) -> str:
@@ -753,8 +753,8 @@ def _contrast_ratio(made: Material, task: Task) -> float:
 def rematch(target: str | Path | Mapping[str, Any] | Task, amounts: Mapping[str, float], batch: Any) -> Rematch:
     """Correct a batch by small additions.
 
-    The batch's volume fractions are estimated from its colours, from the intended ones; additions of its ingredients
-    and of resin then bring it to the target colours, with a small penalty on their volume.
+    The batch's volume fractions are fitted to its colours, starting at the intended ones. Additions of ingredients and
+    resin are then optimised for the target colours, with a small penalty on their volume.
 
     Args:
         target: as for `formulate`.

@@ -113,7 +113,7 @@ class Design:
 
     Attributes:
         folder: output folder; None if files were not written.
-        status: "met", "out of reach" (the budget ended before all targets were met) or "interrupted"; of a relief
+        status: "met", "out of reach" (the budget ended before all targets were met) or "interrupted"; for a relief
             "done", "time limit" or "interrupted".
         message: the outcome as a sentence.
         seconds: wall time.

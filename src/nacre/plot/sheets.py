@@ -85,7 +85,7 @@ class DesignSheet:
     Attributes:
         title: over it.
         swatches: one for each target and lamp.
-        wavelengths_nm: `[wavelength]`, of all spectra.
+        wavelengths_nm: `[wavelength]`, for all spectra.
         curves: label -> factor `[wavelength]`.
         wanted: label -> wavelengths and factors `[2, n]` of target spectra.
         ribbon_deg, ribbon: angles `[angle]` and factors `[angle, wavelength]`; ribbon_label: angle name.

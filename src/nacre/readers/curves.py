@@ -122,13 +122,13 @@ def in_unit(columns: Columns, column: Column, unit: str) -> Floats:
 def spectrum(
     path: Path, quantities: Sequence[str], options: ReadOptions | None = None
 ) -> tuple[Floats, Floats, list[str]]:
-    """Return wavelengths in nm, ascending, factors, and sentences, of the only spectrum of a quantity in a file.
+    """Read the only spectrum of a quantity in a file: ascending wavelengths in nm, factors, and assumptions.
 
     Args:
-        quantities: names of the quantity in `Measurement.data`; the first is that of a table without headings.
+        quantities: names of the quantity in `Measurement.data`; the first one applies to a table without headings.
 
     Raises:
-        NacreError: no such spectrum, or several; names what the file holds.
+        NacreError: no such spectrum, or several; the message lists the file's contents.
     """
     options = replace(options or ReadOptions(), expects="spectrum", assumed_quantity=quantities[0])
     try:

@@ -52,7 +52,7 @@ class ReadOptions:
 
     Attributes:
         quantity: canonical name of the dependent quantity (`reflectance`, `transmittance`, `n`, `eps1`, ...).
-        unit: abscissa unit (`nm`, `um`, `eV`, `1/cm`) or, for heights, of the heights.
+        unit: abscissa unit (`nm`, `um`, `eV`, `1/cm`), or height unit.
         angle_deg: incidence angle.
         delta_convention: Delta sign: `positive` or `negative` (see `docs`).
         channel: channel of a file with several (heights, zones).

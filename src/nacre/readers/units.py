@@ -20,7 +20,7 @@ LIGHT_NM_S = 2.99792458e17  # speed of light, nm/s
 VOCABULARY: dict[str, dict[str, Any]] = tomllib.loads(
     files("nacre.readers").joinpath("vocabulary.toml").read_text("utf-8")
 )
-# unit -> (dimension, factor to the SI unit; of a length: to nm)
+# unit -> (dimension, factor to the SI unit; for lengths to nm)
 UNITS: dict[str, tuple[str, float]] = {unit: (kind, factor) for unit, (kind, factor) in VOCABULARY["units"].items()}
 SPECTRAL = ("length", "energy", "wavenumber", "frequency", "angular_frequency")
 _CASED: dict[str, str] = VOCABULARY["cased"]

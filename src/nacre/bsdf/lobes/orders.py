@@ -98,7 +98,7 @@ class OrdersLobe(Lobe):
 
     @cached_property
     def places(self) -> tuple[NDArray[np.int64], int, int]:
-        """Number of each order in a dense table `[m + first, n + second]`, -1 where there is none, and both offsets."""
+        """Index of each order in a dense table `[m + first, n + second]`, -1 if absent, and both offsets."""
         reach = np.abs(self.orders).max(axis=0, initial=0)
         table = np.full(2 * reach + 1, -1, dtype=np.int64)
         table[self.orders[:, 0] + reach[0], self.orders[:, 1] + reach[1]] = np.arange(len(self.orders))
@@ -112,7 +112,7 @@ class OrdersLobe(Lobe):
         return np.stack([c * w[..., 0] + s * w[..., 1], c * w[..., 1] - s * w[..., 0], w[..., 2]], axis=-1)
 
     def _period(self, uv: Array | None, shape: tuple[int, ...]) -> tuple[Array, tuple[Array, ...]]:
-        """Return the period over the first one, and the node coordinates of the period, each of a shape."""
+        """Return the period relative to the first one, and its node coordinates, each with `shape`."""
         if not self.parameters:
             return np.ones(shape), ()
         axis = self.parameters[0]

@@ -88,7 +88,7 @@ class LayeredPlugin(LobePlugin):
         """Run a random walk with a connection to `wo` at each vertex; the density is the proxy's.
 
         A path tracer requests value and sample together, and Mitsuba calls `eval_pdf`, then `sample`, for the same
-        interaction. One walk yields both: its vertices are connected to `wo`, and it leaves at random. The noise in both is
+        interaction. One walk yields both: its vertices are connected to `wo`, and it leaves at random. Their noise is
         correlated, which does not add bias, since the contributions are summed.
         """
         if not dr.flag(dr.JitFlag.SymbolicScope):  # direct calls may repeat their arguments: independent walks

@@ -393,8 +393,8 @@ class Film(Polarised):
     def _straight_through(self, response: InterfaceResponse) -> Specular:
         """Return the transmission of a rough free film.
 
-        Both interfaces are parallel, so every facet is a plane-parallel film: light is transmitted undeflected, with the
-        mean transmittance of the visible facets (for varying roughness: at the surface's centre).
+        Both interfaces are parallel, so every facet is a plane-parallel film: light is transmitted undeflected. The
+        transmittance is the mean over the visible facets (for varying roughness: at the surface's centre).
         """
         passed = facet_transmittance(response, self.surface.distribution, *self._mean_alpha())
         return Specular(_only_transmitting(response, passed))

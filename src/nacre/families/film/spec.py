@@ -170,7 +170,7 @@ def _media(film: Film) -> list[OpticalConstant | AnisotropicConstant]:
 
 
 def _mean_index(medium: OpticalConstant | AnisotropicConstant, wavelengths_nm: Array) -> ComplexArray:
-    """Return n + ik, of an anisotropic medium that of its mean permittivity."""
+    """Return n + ik; for an anisotropic medium, from its mean permittivity."""
     if isinstance(medium, AnisotropicConstant):
         return medium.mean_index(wavelengths_nm)
     return medium.n_complex(wavelengths_nm)

@@ -1,10 +1,9 @@
 """Noise-free form of a photonic glass (`quality = "fast"`): the face, and a table of the diffuse light.
 
 The table is scaled reciprocally until every incidence has the albedo of radiative transfer. A rough face spreads its
-own reflection; of the diffuse light inside it only changes the transmittance, by the factors of `RoughInterface`. The
-stated error comes from independent random walks through the rough face at three incidences, in bins of the exit cosine,
-plus the interpolation error against transfer at pairs of all directions.
-These factors are the transmission of diffuse light relative to a smooth interface.
+own reflection and changes the transmittance for diffuse light inside by the factors in `RoughInterface`, which are
+relative to a smooth interface. The stated error comes from independent random walks through the rough face at three
+incidences, in bins of the exit cosine, plus the interpolation error against transfer at pairs of all directions.
 """
 
 from __future__ import annotations

@@ -694,7 +694,7 @@ class SpeciesSpec(RecipeModel):
         """Return the files: one, those of a folder, or those of a pattern such as `w*.tmat.h5`.
 
         Raises:
-            RecipeError: a folder or a pattern has none, or too many.
+            RecipeError: a folder or a pattern matches too few or too many files.
         """
         assert self.tmatrix is not None
         plain = Path(self.tmatrix)

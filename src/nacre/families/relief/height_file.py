@@ -166,7 +166,7 @@ def _array(path: Path, name: str, context: RecipeContext) -> Array:
     """Read a .npy array of numbers.
 
     Raises:
-        RecipeError: it is none, or too large.
+        RecipeError: not a numeric array, or too large.
     """
     try:
         mapped = np.load(plain(path), mmap_mode="r", allow_pickle=False)

@@ -195,7 +195,7 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         """The period.
 
         Raises:
-            UnsupportedError: a scan has none.
+            UnsupportedError: the surface is a scan, which is not periodic.
         """
         if isinstance(self.tile, Scan):
             raise UnsupportedError("a scan is not a period; this needs heights with periodic = true")

@@ -204,7 +204,7 @@ class ElementMesh:
     Matrices of blocks are those of all local functions, block after block; `joints` join them. Lengths are in nm.
 
     Attributes:
-        masses: per region, of the edge functions (their scale does not depend on the unit of length).
+        masses: mass matrices of the edge functions per region (their scale does not depend on the unit of length).
         heights: mass matrices of continuous functions, per region.
         rotation: curl times curl of the edge functions.
         gradient: from continuous to edge functions.

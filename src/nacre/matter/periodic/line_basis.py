@@ -32,7 +32,7 @@ class LineMesh:
     Attributes:
         period: in any unit of length.
         edges: `[element + 1]`, ascending, over one period.
-        degrees: `[element]`, of the continuous polynomials.
+        degrees: `[element]`, degrees of the continuous polynomials.
         mass: per element, `[local, local]` of the continuous functions.
         places: per element, the `[local]` numbers of its continuous functions.
         slopes: per element, `[degree, local]`: derivatives in orthonormal Legendre polynomials.

@@ -57,7 +57,7 @@ class Grid:
     """Elements `[row, column]` from the bottom up, lengths times k0.
 
     Attributes:
-        edges: `[column + 1]`, of the lowest and of the highest line, which are flat.
+        edges: `[column + 1]`, column edges on the lowest and the highest line, which are flat.
         epsilon: `[row, column]`.
         metric: `[4, row, column, u, w]`: x_u, x_w, z_u, z_w at the quadrature nodes.
         below, above: thickness and epsilon of uniform layers outside, from the grid outward, half spaces last.

@@ -143,15 +143,15 @@ def scatter_profile(
     incident: Array,
     from_below: Array,
 ) -> tuple[Array, Array]:
-    """Return the amplitudes up in the cover and down in the substrate.
+    """Return the upward amplitudes in the cover and the downward ones in the substrate.
 
     Args:
-        cover: states of the modes up and down.
-        films: from the top down: states up and down, and the factors of the modes up over the film, from its lower
-            to its upper face, and down.
-        substrate_down: states of the modes down.
-        incident: `[mode, case]`, of the modes down in the cover.
-        from_below: `[4 functions, case]`, states of the waves that come up in the substrate.
+        cover: states of upward and downward modes.
+        films: from the top down: states of upward and downward modes, and their propagation factors through the film,
+            upward and downward.
+        substrate_down: states of downward modes.
+        incident: `[mode, case]`, amplitudes of the downward modes in the cover.
+        from_below: `[4 functions, case]`, states of upward waves in the substrate.
     """
     below, source = substrate_down, from_below
     passed: list[tuple[Array, Array, Array]] = []
@@ -212,7 +212,7 @@ def lossless_amplitudes(
     Args:
         ports: waves in from the cover and from the substrate, and out to the cover and to the substrate.
         films: as for `scatter_profile`.
-        incident: `[mode, case]`, of the modes down in the cover.
+        incident: `[mode, case]`, amplitudes of the downward modes in the cover.
     """
     first, second, up, down = ports
     count = len(first.columns)

@@ -61,8 +61,8 @@ class Ridges:
     """The ridges of one supercell.
 
     Attributes:
-        heights_nm: `[ridge]`, of the pedestals above the membrane.
-        widths_nm, centres_nm: `[ridge]`, the centres across the ridges.
+        heights_nm: `[ridge]`, pedestal heights above the membrane.
+        widths_nm, centres_nm: `[ridge]`, widths and lateral positions.
         period_nm: width of the supercell.
     """
 
@@ -87,10 +87,10 @@ def drawn_ridges(statistics: RidgeStatistics, draw: int) -> Ridges:
 
 
 def array_factor(ridges: Ridges, sines: Array, sine_along: float, wave: float) -> Array:
-    """Return the interference of ridges that scatter alike and independently, over their number squared, `[out, in]`.
+    """Return the interference of identical, independent scatterers at the ridges, over their number squared, `[out, in]`.
 
     Args:
-        sines: `[order]`, of a `Fan`.
+        sines: `[order]`, sines in a `Fan`.
         wave: wave number in the medium above, 1/nm.
     """
     return np.asarray(np.abs(_mean_phase(ridges.centres_nm, ridges.heights_nm, sines, sine_along, wave)) ** 2)

@@ -126,7 +126,7 @@ def slab(p: Array, q: Array, depth: float) -> Slab:
 
 @lru_cache(maxsize=1)
 def _tangent_fraction() -> tuple[Array, Array]:
-    """Return numerator and denominator, by ascending powers of u, of the fraction u/(1 - u/(3 - ... u/33)) over u."""
+    """Return u/(1 - u/(3 - ... u/33)) over u as numerator and denominator in ascending powers of u."""
     above, below = ([np.zeros(TERMS // 2 + 1), np.zeros(TERMS // 2 + 1)] for _ in range(2))
     above[0][0] = below[1][0] = 1.0  # terms -1 and 0: 1 / 0 and 0 / 1
     for n in range(1, TERMS + 1):

@@ -213,7 +213,7 @@ def level_grid(palette: Palette, levels: int) -> ColourGrid:
 
 
 def fine_grid(palette: Palette) -> ColourGrid:
-    """Return the colours over the full ranges, so finely that neighbours hardly differ.
+    """Return the colours over the full ranges, on a grid so fine that neighbours hardly differ.
 
     The result depends on the budget in evaluations alone, unless the refinement is stopped.
 

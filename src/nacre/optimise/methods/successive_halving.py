@@ -142,7 +142,7 @@ class SuccessiveHalvingSearch(Search):
         return residuals
 
     def _reserve_s(self, fidelity: Fidelity) -> float:
-        """Return the expected time of an evaluation, and of a final evaluation as far as it exceeds its reserve."""
+        """Return the expected time for an evaluation, plus the final evaluation's excess over its reserve."""
         known = next((each for each in (fidelity, self.coarse, self.draft) if each.seconds), None)
         if known is None:
             return 0.0

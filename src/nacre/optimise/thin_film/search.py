@@ -68,7 +68,7 @@ class StackProblem:
         sides: `[row]`, "reflected" or "transmitted" (into the substrate), unpolarised.
         ambient: real index above, a number or `[wavelength]`.
         max_layers: largest layer count (open stack).
-        bounds_nm: name -> (low, high), of the palette (open stack).
+        bounds_nm: palette name -> (low, high) (open stack).
         slots: a given stack's layers from the top, which replace `max_layers` and `bounds_nm`.
         max_total_nm: largest total thickness.
         prefer_few_layers: whether fewer layers win at equal merit.

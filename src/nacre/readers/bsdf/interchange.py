@@ -380,7 +380,7 @@ def _block_window_xml(
 #
 # Scattering surfaces give, for each incidence and wavelength, reflected and transmitted shares in per cent: specular,
 # Lambertian, Gaussian, and the Gaussian's two full widths in degrees. Measured BSDFs have their mirror direction at
-# azimuth 0. BSDF180 holds two files, of the front and of the back; binary and encrypted files are refused.
+# azimuth 0. BSDF180 holds two files, for front and back; binary and encrypted files are refused.
 
 ROWS = ("specular", "lambertian", "gaussian", "gaussian_fwhm_x", "gaussian_fwhm_y")
 FIRST = "OPTIS - "

@@ -286,7 +286,7 @@ class ZemaxBsdf:
 
     Attributes:
         incidence_deg: `[incidence]`; azimuth_deg: `[azimuth]`; radial_deg: `[radial]`.
-        values: `[channel, incidence, azimuth, radial]`, 1/sr; of the first sample rotation.
+        values: `[channel, incidence, azimuth, radial]`, 1/sr, for the first sample rotation.
         tis: `[channel, incidence]`, total integrated scatter.
         scatter_type: "BRDF" or "BTDF".
         symmetry: as in the file.

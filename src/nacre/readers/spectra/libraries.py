@@ -128,7 +128,7 @@ def _page(path: Path) -> Page:
 
 
 def _beside(page: Page) -> tuple[Array, Path]:
-    """Return the wavelengths, um, of the file beside a spectrum or above its folder that belongs to it, and the file.
+    """Return the wavelengths in um for a spectrum, and their file, which lies beside it or in the folder above.
 
     A file belongs to a spectrum of the same library with as many channels; in the measured library (splib07) also of
     the same spectrometer.
@@ -176,7 +176,7 @@ def _wavelength_files(page: Page) -> Iterator[Page]:
 
 
 def _given(page: Page, name: str) -> tuple[Array, Path]:
-    """Return the wavelengths, um, of a file that the options name.
+    """Return the wavelengths in um from a file that the options name.
 
     Raises:
         NacreError: unreadable, no title of the library, or another number of channels.

@@ -242,7 +242,7 @@ def specular_at_nodes(
     """R + T from the stored specular tables at the diffuse grid angles, `[angle]`.
 
     Args:
-        nodes: cosines outside, and coordinates beyond the critical angle, of the tables.
+        nodes: table nodes: cosines outside, and coordinates beyond the critical angle.
     """
     cosines, beyond_critical = nodes
     out = np.interp(np.cos(grids.above.nodes), cosines, reflected + passed)
