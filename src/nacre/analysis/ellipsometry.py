@@ -170,7 +170,7 @@ def specular_stack(material: Material) -> Stack:
     """Return a material's stack.
 
     Raises:
-        UnsupportedError: the material has no ellipsometric quantities.
+        UnsupportedError: the material lacks one.
     """
     if not isinstance(material.model, SpecularStack):
         noun = material.model.traits.noun

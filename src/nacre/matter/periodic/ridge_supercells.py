@@ -87,7 +87,7 @@ def drawn_ridges(statistics: RidgeStatistics, draw: int) -> Ridges:
 
 
 def array_factor(ridges: Ridges, sines: Array, sine_along: float, wave: float) -> Array:
-    """Return the interference of identical, independent scatterers at the ridges, over their number squared, `[out, in]`.
+    """Return the interference of identical scatterers at the ridges, over their number squared, `[out, in]`.
 
     Args:
         sines: `[order]`, sines in a `Fan`.

@@ -130,8 +130,7 @@ def _page(path: Path) -> Page:
 def _beside(page: Page) -> tuple[Array, Path]:
     """Return the wavelengths in um for a spectrum, and their file, which lies beside it or in the folder above.
 
-    A file belongs to a spectrum of the same library with as many channels; in the measured library (splib07) also of
-    the same spectrometer.
+    The file must have the spectrum's library and channel count; in the measured library (splib07) also its spectrometer.
 
     Raises:
         NacreError: such a file is missing, or several have unlike wavelengths.
