@@ -240,7 +240,7 @@ def _restore(path: Path, sweep: Sweep) -> None:
 
 
 def _create(path: Path, sweep: Sweep) -> None:
-    """Make an empty store beside `path` and give it its name when it is whole."""
+    """Create an empty store in a temporary folder beside `path`, then rename it to `path`."""
     check_writable(path)
     with _empty_store(path, sweep) as temporary:
         os.replace(temporary, path)
@@ -303,7 +303,7 @@ def _empty_store(path: Path, sweep: Sweep) -> Iterator[Path]:
 
 
 def _dimension(path: str) -> str:
-    """Make a dimension name of a recipe path: `layers[0].thickness_nm` is `layers.0.thickness_nm`."""
+    """Convert a recipe path to a dimension name: `layers[0].thickness_nm` to `layers.0.thickness_nm`."""
     return path.replace("[", ".").replace("]", "")
 
 

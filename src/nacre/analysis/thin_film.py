@@ -225,7 +225,7 @@ FITTED = (0.1, 0.5, 0.9)  # positions in its range at which index and base are f
 STEP_NM = 4.0
 THICKEST_NM = 1600.0
 BANDS = 48  # wavelengths of the search
-CONTINUITY = 0.02  # dE00 per nm by which the thickness changes more than the shortest path
+CONTINUITY = 0.02  # cost in dE00 per nm of thickness change between neighbouring values
 
 
 @dataclass(frozen=True)

@@ -213,7 +213,7 @@ def share_light(f, r, t):
 
 @compiled(nogil=True, fastmath=True)
 def scatter(dx, dy, dz, sigma, reflect, transmit, f, r, t):
-    """Meet a platelet: the event and the new flight.
+    """Scatter at a platelet; return the event and the new direction.
 
     Args:
         reflect, transmit: `[cos, wavelength]`, float32, on sqrt(cos) nodes.

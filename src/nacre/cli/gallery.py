@@ -26,7 +26,7 @@ FULL_FRAMES, QUICK_FRAMES = 24, 8
 # samples per pixel, sufficient for the denoiser; fixed, so that pictures are equal on all machines
 FULL_SPP, QUICK_SPP = 12, 24
 FULL_FRAME_SPP, QUICK_FRAME_SPP = 6, 12
-RANDOM_WALK_SPP = 3  # times as many for a pearl by random walks, which is noisier than its tables
+RANDOM_WALK_SPP = 3  # factor on the samples of a pearl by random walks, which is noisier than its tables
 # seconds of a still, a frame, and twelve further samples on two cores, for the remaining time
 STILL_S = {False: 10.0, True: 3.0}
 FRAME_S = {False: 3.0, True: 0.4}
@@ -151,7 +151,7 @@ def plan(folder: Path, out: Path, is_quick: bool) -> list[Item]:
 
 
 def run_demo(out: Path, is_quick: bool, report: Report) -> list[Path]:
-    """Make everything and the contact sheet; return the files.
+    """Create all items and the contact sheet; return the files.
 
     Args:
         out: folder, created if needed.

@@ -314,10 +314,10 @@ def check_room(folder: str | Path, need: int) -> None:
 
 @contextlib.contextmanager
 def output_folder(path: str | Path) -> Iterator[None]:
-    """Make a folder and its parents for the block; those that are new and stay empty are removed again.
+    """Create a folder and its parents for the `with` block; afterwards remove new folders that are empty.
 
     Raises:
-        NacreError: it cannot be made.
+        NacreError: it cannot be created.
     """
     folder = named(path)
     new = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]

@@ -83,7 +83,7 @@ def clock() -> float:
 
 
 def spare_compilation(work: float) -> None:
-    """Let this process do its first `work` without kernels, for commands that end before a compilation would.
+    """Run the first `work` in this process without kernels, for commands that are shorter than a compilation.
 
     Args:
         work: points times interfaces; 1 takes about 1 µs in NumPy. 0: kernels from now on, the default.
@@ -155,7 +155,7 @@ def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
 
 
 def _compiled_by_one(dispatcher: Any) -> Any:
-    """Let one process at a time compile a kernel; the others wait, and load it from the disk cache."""
+    """Compile a kernel in one process at a time; others wait, then load it from the disk cache."""
     from filelock import FileLock, Timeout
     from numba.core.compiler_lock import global_compiler_lock
 

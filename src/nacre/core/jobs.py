@@ -37,7 +37,7 @@ SECURITY_KEYS = ("ca", "cert", "key")
 
 @dataclass(frozen=True)
 class Workers:
-    """Where work runs.
+    """Configuration of worker processes.
 
     Attributes:
         jobs: worker processes; 1: this process; default: one per core.

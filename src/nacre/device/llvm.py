@@ -131,7 +131,7 @@ def use_llvm() -> Probe | None:
 
 
 def use_gather_instructions() -> None:
-    """Let LLVM compile a gather to one instruction, on processors with AVX2; call after drjit is imported.
+    """Configure LLVM to compile a gather to one instruction on processors with AVX2; call after importing drjit.
 
     For AMD processors without AVX-512, LLVM splits each gather into eight conditional loads. The kernel of a relief has
     hundreds of gathers and compiles 15 times faster if they are not split. Values change by rounding only. drjit has a

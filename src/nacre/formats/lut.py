@@ -760,7 +760,7 @@ def _pictures(part: ThreePart) -> dict[str, Picture]:
 
 
 def _glsl(part: ThreePart, held: Mapping[str, Any]) -> str:
-    """Return a material's look-ups behind its definitions."""
+    """Return a material's look-up code, preceded by its definitions."""
     pictures, facets = _pictures(part), held["facets"]
     defines = [f"#define NACRE_SAMPLES {SAMPLES}.0"]
     defines += [

@@ -120,7 +120,7 @@ class Clipped:
 
 
 def clip_to_srgb(rgb_linear: ArrayLike) -> Clipped:
-    """Bring linear sRGB `[..., 3]` into [0, 1] at constant CIELAB hue and lightness, by lowering the chroma.
+    """Map linear sRGB `[..., 3]` into [0, 1] at constant CIELAB hue and lightness, by lowering the chroma.
 
     The colour moves towards the grey with the same L*, up to the gamut boundary (one line in a few thousand crosses
     the boundary twice; the result is then one crossing). L* >= 100 (brighter than the display's white) becomes white,

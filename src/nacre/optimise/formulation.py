@@ -532,7 +532,7 @@ class PaintSearch(Search):
         return [dict(zip(STATE_KEYS, row, strict=True)) for row in rows], {}
 
     def restore(self, checkpointer: Checkpointer) -> None:
-        """Take the refinements of a checkpoint as done.
+        """Restore the refinements from a checkpoint.
 
         Raises:
             NacreError: it is damaged.

@@ -313,7 +313,7 @@ class Search(abc.ABC):
             self._on_progress(self.best, self.best_changes)
 
     def record(self, objective: float, changes: Changes) -> None:
-        """Take a candidate as the best solution if it is better, and report."""
+        """Record a candidate as the best solution if it is better, and report."""
         is_better = objective < self.best
         if is_better:
             self.best, self.best_changes = objective, changes

@@ -61,14 +61,14 @@ IMAGE_DESIGNS = {
 
 @dataclass(frozen=True)
 class TimeShares:
-    """How the time limit of a design is divided.
+    """Division of a design's time limit.
 
     Attributes:
-        evaluation: share for the final evaluation and the report of materials that are slow.
-        quick_s, quick_per_solution_s: upper limit of that time for quick materials.
-        min_search: share of the search, even if compilation used the time.
+        evaluation: share for the final evaluation and the report, for slow materials.
+        quick_s, quick_per_solution_s: upper limit for that time, for quick materials.
+        min_search: least share for the search, even if compilation used the time.
         min_report_s, min_sensitivity_s: lower limits.
-        expensive_s: two evaluations that take longer get a sensitivity only if there is time.
+        expensive_s: if two evaluations take longer, the sensitivity is computed only if time remains.
     """
 
     evaluation: float = 0.3
@@ -292,7 +292,7 @@ def _rank(solution: Solution, task: DesignTask) -> Any:
 
 
 def _sort(solutions: list[Solution], task: DesignTask, previous_best: dict[str, Any] | None) -> None:
-    """Put the best first; a search for few layers has its own order, which the previous best may only lead."""
+    """Sort by rank; a search for few layers has its own order, before which only the previous best may be placed."""
     if task.spec.tolerance or task.spec.limits.max_layers != "fewest":
         solutions.sort(key=lambda s: _rank(s, task))
         return

@@ -82,7 +82,7 @@ OTHER = "other"  # key in bounds by material for all other materials
 
 @dataclass(frozen=True)
 class Task:
-    """What the target files of all searches have in common.
+    """Common content of all target files.
 
     Attributes:
         spec: content of the file.

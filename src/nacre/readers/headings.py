@@ -66,13 +66,13 @@ _BRACKET_FILLERS = frozenset(VOCABULARY["lists"]["bracket_fillers"].split())
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a heading states.
+    """Information in a heading.
 
     Attributes:
         quantity: key of `WORDS`.
         unit: canonical unit, "" if none is stated.
-        is_error: whether the column holds the standard error of the quantity; with `quantity` "" of the column before.
-        angle_deg: incidence angle (of a colour: of the geometry) in the heading.
+        is_error: whether the column holds the quantity's standard error (with `quantity` "": the previous column's).
+        angle_deg: incidence angle in the heading; for colours, the geometry's angle.
         polarisation: "s", "p", "unpolarised", or "".
         mode: "specular", "diffuse", "total", or "".
         illuminant, observer: reference for a colour; the observer is "2" or "10".
@@ -451,7 +451,7 @@ POLARISERS = {0.0: "p", 90.0: "s"}  # angles from the plane of incidence
 
 @dataclass(frozen=True)
 class Preamble:
-    """What the lines above a table state.
+    """Information in the lines above a table.
 
     Attributes:
         angle_deg: incidence angle; None if not stated.

@@ -462,7 +462,7 @@ def _classified(raw: Sequence[str], delimiter: str | None, knows: Callable[[str,
 
 
 def _demote_key_values(found: Sequence[_Line]) -> None:
-    """Take lines such as "Scans: 3" above and below rows that begin with numbers as text.
+    """Treat lines such as "Scans: 3" as text if they surround rows that begin with numbers.
 
     A single line directly below the rows remains a row, which may be damaged.
     """

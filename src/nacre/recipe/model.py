@@ -353,7 +353,7 @@ class RecipeModel(pydantic.BaseModel):
         return {**table, key: value}
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Let `build` of an unchanged table run once for all variants of a recipe with a snapshot."""
+        """Cache `build` of an unchanged table across all variants of a recipe with a snapshot."""
         super().__init_subclass__(**options)
         for name, value in _forms_of(cls.__module__.rpartition(".")[0]).get(cls.__name__, {}).items():
             setattr(cls, name, tuple(value) if isinstance(value, list) else value)

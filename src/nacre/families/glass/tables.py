@@ -162,10 +162,10 @@ def diffuse_table(medium: Medium, slabs: list[Slab]) -> TableLobe:
 
 
 def behind_rough(table: TableLobe, medium: Medium, slabs: list[Slab], surface: Roughness) -> TableLobe:
-    """Put the light of `diffuse_table` behind a rough face; see `RoughInterface`.
+    """Convert the result of `diffuse_table` to a rough face; see `RoughInterface`.
 
-    A smooth face lets no light in at grazing incidence, a rough one does. There the light below the face is
-    extrapolated from the last two nodes before.
+    At grazing incidence a smooth face transmits nothing, unlike a rough one. The light below the face is therefore
+    extrapolated there from the last two nodes.
     """
     interface = RoughInterface.behind(surface, medium)
     if interface is None:

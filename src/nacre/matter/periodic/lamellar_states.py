@@ -60,7 +60,7 @@ class Space:
 
     @property
     def zero(self) -> Array:
-        """Where order 0 is, `[case]`."""
+        """Index of order 0, `[case]`."""
         return -self.numbers[:, 0]
 
     def masses(self, values: Array) -> Array:

@@ -201,7 +201,7 @@ def line_basis(mesh: LineMesh, alpha_0: float, reach: float) -> LineBasis:
     """Return the discrete plane waves for the transverse wave number `alpha_0` of order 0.
 
     Args:
-        reach: orders up to this |alpha| are resolved as plane waves (more than that if they come in pairs).
+        reach: orders up to this |alpha| are resolved as plane waves, and further ones whose |alpha| nearly coincide.
     """
     size = mesh.size
     phase = complex(np.exp(1j * alpha_0 * mesh.period))

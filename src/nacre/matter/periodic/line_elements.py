@@ -301,7 +301,7 @@ class _Side:
         return away, back, gamma
 
     def enter(self) -> None:
-        """Go on from the half space through the layers to the end."""
+        """Propagate the boundary condition from the half space through the layers to the end."""
         one = np.eye(2)
         for thickness, epsilon in self.layers:
             away, back, gamma = self._fluxes(epsilon)

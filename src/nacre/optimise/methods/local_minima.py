@@ -52,7 +52,7 @@ def descend(
     ftol: float = XTOL,
     is_enough: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Take some damped Gauss-Newton steps within the bounds, in place.
+    """Make some damped Gauss-Newton steps within the bounds, in place.
 
     Broyden's rank-one update corrects the Jacobian after each step; a new one is computed only if the updates fail.
 
@@ -215,7 +215,7 @@ class BasinHopping:
         )
 
     def _next(self) -> Descent:
-        """Take the most promising descent; every other new one is of the structure that was begun least."""
+        """Select the most promising descent; every second new one has the structure with the fewest descents so far."""
         gain = self.options.first_gain**2
         run = min(self.open, key=lambda run: run.cost * (1.0 if run.jacobian is not None else gain))
         if run.jacobian is None:

@@ -211,7 +211,7 @@ class SuccessiveHalvingSearch(Search):
         return runs[:2]
 
     def _converge(self, run: Descent) -> None:
-        """Take a descent to its end on the fine wavelengths, then with more weight on the worst terms."""
+        """Converge a descent on the fine wavelengths, then with more weight on the worst terms."""
         self._descend(run, self.coarse, self.options.final_steps)
         if self.coarse is not self.fine:
             residuals = self._evaluate(run.point, self.fine)

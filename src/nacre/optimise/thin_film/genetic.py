@@ -197,7 +197,7 @@ def _mutate_order(space: Any, media: Any, d: Any, layers: int, operator: int) ->
 
 @compiled(error_model="numpy")
 def _cross(space: Any, media: Any, d: Any, layers: int, mate_media: Any, mate_d: Any, mate_layers: int) -> int:
-    """Put the upper part of a mate on the lower part of a stack; return the layer count."""
+    """Crossover: place the upper part of a mate on the lower part of a stack; return the layer count."""
     if space.is_open[0]:
         slots = space.choices.shape[0]
         cut = 1 + np.random.randint(layers)  # layers from below

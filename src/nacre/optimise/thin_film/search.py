@@ -343,7 +343,7 @@ class Engine:
         self.aim(problem.merit)
 
     def aim(self, merit: MeritFunction) -> None:
-        """Take another merit function of the same rows."""
+        """Replace the merit function by another one on the same rows."""
         self.merit, self.coarse_merit = merit, merit.on(self.samples)
         self.compiled = compile_merit(self.coarse_merit, self.options.margin)
         self.fine_compiled = compile_merit(merit, self.options.margin)
@@ -639,7 +639,7 @@ def many(
 
 
 def local_metric(lab: Array) -> Array:
-    """Return `[..., 3, 3]` whose product with a small difference from `lab` `[..., 3]` has the length of its dE00."""
+    """Return matrices M `[..., 3, 3]` with |M d| = dE00 for small differences d from `lab` `[..., 3]`."""
     step = 1e-3
     columns = [delta_e_2000_components(lab, lab + step * axis) / step for axis in np.eye(3)]
     return np.stack(columns, axis=-1)

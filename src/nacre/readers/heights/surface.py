@@ -1,4 +1,4 @@
-"""What all readers of height maps share: length units, checks, channels, and the measurement they return."""
+"""Common parts of height map readers: length units, checks, channels, and the returned measurement."""
 
 import math
 import re

@@ -130,7 +130,7 @@ def _page(path: Path) -> Page:
 def _beside(page: Page) -> tuple[Array, Path]:
     """Return the wavelengths in um for a spectrum, and their file, which lies beside it or in the folder above.
 
-    The file must have the spectrum's library and channel count; in the measured library (splib07) also its spectrometer.
+    The file must have the spectrum's library and channel count; in the measured library (splib07), its spectrometer too.
 
     Raises:
         NacreError: such a file is missing, or several have unlike wavelengths.

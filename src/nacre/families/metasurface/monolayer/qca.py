@@ -207,13 +207,13 @@ NEAR_NODES = 10  # near-field nodes; the truncated part has no visible effect
 
 @dataclass(frozen=True)
 class Modes:
-    """In-plane wavevector nodes, and the mean-field response to a source there.
+    """In-plane wavevector nodes, and the mean-field response to a source at each.
 
     Attributes:
         structure: density and S.
-        wavenumber: around the particles, 1/nm.
+        wavenumber: wavenumber around the particles, 1/nm.
         kappa: in-plane wavevector over k, `[mode]`, along x.
-        weights: for int d^2kappa / (2 pi)^2 / rho at one azimuth, `[mode]`.
+        weights: quadrature weights for int d^2kappa / (2 pi)^2 / rho at one azimuth, `[mode]`.
         back: reflection by the neighbours, `[n, n']`, in addition to the stack.
         step: G = D - 1, `[mode, n, n']`.
         unlike: M_j over the mean M, `[species, n, n']`; empty for equal particles.
