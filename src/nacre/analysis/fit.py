@@ -44,7 +44,7 @@ from nacre.recipe.path_tables import by_path, with_options
 MAX_PARAMETERS = 12
 UNDETERMINED_SHARE = 0.5  # smallest relative 95 % half width for an undetermined number
 MIN_START_DISTANCE = 0.02  # distance between starts, relative to the bounds
-PENALTY_RESIDUAL = 10.0  # if a material cannot be computed
+PENALTY_RESIDUAL = 10.0  # residual if a material cannot be computed
 STALLED_RATIO, STALLED_RMS = 0.999, 0.02  # least squares that improved less, at a larger rms, is followed by CMA-ES
 WEIGHTS = ("equal", "relative")
 CORRECTIONS = 3  # largest space-mapping step count

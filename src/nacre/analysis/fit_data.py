@@ -167,7 +167,7 @@ class ColourData:
 
     @property
     def wavelengths_nm(self) -> Array:
-        """The visible range, of which a colour is a sum."""
+        """The visible range, over which colours are integrated."""
         return default_wavelengths()
 
     def resolved(self, material: Material) -> ColourData:
@@ -417,7 +417,7 @@ def texture_measurement(path: Path, instrument: Any = None) -> TextureData | Non
     """Read a table `quantity, value` such as `sparkle_45, 1.2`; None for other files.
 
     Raises:
-        RecipeError: a row is not a quantity and a number above 0, or a quantity stands twice.
+        RecipeError: a row is not a quantity and a number above 0, or a quantity occurs twice.
     """
     cells = _labelled_rows(path)
     if len(cells) > 1 and cells[0][1][0].lower() in ("quantity", "name"):

@@ -256,7 +256,7 @@ def _on_grid(
     """Return the series on the grid of all their angles and wavelengths.
 
     Raises:
-        NacreError: a value that stands twice or is missing, or numbers that are not reflectance or angle.
+        NacreError: a value that is repeated or missing, or numbers that are not reflectance or angle.
     """
     parts = tuple(dict.fromkeys(one.part for one in series))
     _check_modes(path, parts, remarks)

@@ -442,7 +442,7 @@ def compare_with_colours(
 
 
 def _limits_of(labels: Mapping[str, tuple[str, ...]], limits: Mapping[str, float] | None) -> dict[str, float]:
-    """Return the limit of each geometry; "" stands for all others.
+    """Return the limit for each geometry; "" means all others.
 
     Raises:
         NacreError: a limit's geometry is in no table.

@@ -433,7 +433,7 @@ class SweepColours:
     Attributes:
         axes: the varied numbers.
         is_grid: whether the points form a grid of the axes' values.
-        part: the part of the spectrum of these colours.
+        part: spectrum part that gives the colours.
         parts: all parts in the store.
         angles_deg: `[angle]`, incidence.
         xyz, lab: `[axis 0, axis 1, ..., angle, 3]` of a grid, `[point, angle, 3]` otherwise; NaN for missing points.
@@ -535,7 +535,7 @@ def save_sweep_figure(
         store: the Zarr folder of `nacre sweep`, finished or not.
         kind: one of `SWEEP_KINDS`.
         path: a PNG, PDF or SVG.
-        angles_deg: stored angles; default: the first, or up to four of them.
+        angles_deg: stored angles; default: the first one, or up to four.
         part: spectrum part; default: the brightest stored.
 
     Raises:

@@ -510,7 +510,7 @@ class AnisotropicTables(StackTables):
         return bool(np.max(delta_e_2000(each, np.broadcast_to(mean, each.shape))) > COLOUR_ERROR)
 
     def over_azimuth(self, thicknesses_nm: Array) -> InterfaceResponse:
-        """Tabulate with the azimuth as a leading axis, as `AlignedSpecular` has it.
+        """Tabulate with the azimuth as a leading axis, as in `AlignedSpecular`.
 
         Uniform azimuths from 0 to 2 pi, both included, halved until the colour of the reflected light midway between
         them is exact to dE00 0.5 at a few angles, or there are `MOST_AZIMUTHS` intervals.

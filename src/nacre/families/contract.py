@@ -245,7 +245,7 @@ class Surrogate(abc.ABC):
 
 
 class SingleFlakes(Protocol):
-    """Flakes of a material at given wavelengths, one by one."""
+    """Individual flakes of a material at given wavelengths."""
 
     def lit(self, theta_rad: float, lamp_rad: float, camera_rad: float) -> list[LitFlakes]:
         """Return the flakes under a lamp at an angle from the normal, seen along the normal.

@@ -104,7 +104,7 @@ SIZE = 90
 
 
 def _slice_pairs(size: int) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return the directions of the slice's pixels, and which of them lie above the surface."""
+    """Return the directions of the slice's pixels, and whether they lie above the surface."""
     angle = (np.arange(size) + 0.5) / size * (np.pi / 2)
     half, diff = np.meshgrid(angle, angle)
     wi, wo = from_half_difference(half, diff, np.full_like(half, np.pi / 2))

@@ -310,7 +310,7 @@ class Graph:
         self.count = 0
 
     def add(self, kind: str, output: str, name: str = "", **inputs: tuple[str, str]) -> str:
-        """Add a node; an input is (type, value) or (type, "@" + name of a node); `in_` stands for `in`."""
+        """Add a node; an input is (type, value) or (type, "@" + name of a node); `in_` means `in`."""
         self.count += 1
         name = name or f"{kind}_{self.count}"
         node = ET.SubElement(self.element, kind, {"name": name, "type": output})
@@ -743,7 +743,7 @@ def write_three(
 
 
 def _held(part: ThreePart) -> dict[str, Any]:
-    """Return what a module holds of a material: facts and pictures."""
+    """Return a material's content in a module: facts and pictures."""
     document, pictures = description(part.table), _pictures(part)
     facets = document["facets"]
     held: dict[str, Any] = {key: document[key] for key in ("name", "illuminant", "facets", "parameter", "lost")}

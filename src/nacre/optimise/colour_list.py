@@ -251,7 +251,7 @@ def _without_texture(table: TextTable, quantities: Sequence[str]) -> tuple[TextT
 
 @dataclass(frozen=True)
 class _Group:
-    """Columns of one colour: place by quantity, what the headings say of all of them, and the unit of the hue."""
+    """Columns of one colour: index by quantity, properties stated in all headings, and the hue's unit."""
 
     places: dict[str, int]
     meaning: Meaning
@@ -262,7 +262,7 @@ def _groups(table: TextTable) -> tuple[int | None, list[_Group]]:
     """Return the column of names and the columns of each colour.
 
     Raises:
-        RecipeError: headings that are not known, stand twice, or name no colour.
+        RecipeError: headings that are unknown or repeated, or do not name a colour.
     """
     where = f"{table.path}: line {table.heading_line}"
     found: dict[tuple[float | None, int | None, str], dict[str, tuple[int, Meaning]]] = {}

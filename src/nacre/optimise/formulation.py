@@ -591,7 +591,7 @@ class PaintSearch(Search):
         return rms, point
 
     def _stage(self, stage: int, entries: Iterable[tuple[_Paint, Array]], count: int, refine: Refinement) -> bool:
-        """Refine paints from their starts, as far as the stage's share of the budget goes; return whether all are."""
+        """Refine paints from their starts within the stage's share of the budget; return whether all were refined."""
         share, least = STAGE_SHARES[stage], self.solution_count if stage else 1
         end_time = self.budget.start_time + share * self.budget.seconds
         found: list[Candidate] = []
@@ -615,7 +615,7 @@ class PaintSearch(Search):
 
 
 class FormulationFolder(DesignFolder[Formulation]):
-    """Formulation at work; its folder holds the best paint so far."""
+    """A running formulation; its folder contains the best paint so far."""
 
     search: PaintSearch
 

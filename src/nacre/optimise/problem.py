@@ -132,7 +132,7 @@ class Problem:
 
     Attributes:
         material: the recipe to start from.
-        parameters: what varies; `continuous` are the indices of those that are neither categorical nor integer.
+        parameters: the free parameters; `continuous`: indices of those that are neither categorical nor integer.
         removable: index -> path of the table that is removed if the parameter is 0.
         geometries: rows of the spectra.
         wavelengths_nm, merit: grid of the search, and the merit function on it.
@@ -216,7 +216,7 @@ class Problem:
 
 
 class Search(abc.ABC):
-    """One method at work on one problem.
+    """A running search: one method on one problem.
 
     Attributes:
         archive: distinct solutions.

@@ -133,7 +133,7 @@ def search_of(
     progress: Callable[[DesignProgress], None] | None = None,
     jobs: int | None = None,
 ) -> SolvableFolder:
-    """Return the search of a task at work, in the folder of its checkpoint; see `run`."""
+    """Return a task's running search, in its checkpoint's folder; see `run`."""
     begun = clock() if begun is None else begun
     return SEARCHES[type(task)](task, checkpointer, begun, progress, jobs)
 
@@ -197,7 +197,7 @@ def budget_of(task: DesignTask, search: Search, spent_s: float = 0.0) -> Budget:
 
 
 class RecipeFolder(SolvableFolder):
-    """Design of recipe parameters or of a stack at work."""
+    """A running design of recipe parameters or of a stack."""
 
     def __init__(
         self,

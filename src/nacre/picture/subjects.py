@@ -414,7 +414,7 @@ def _is_flat(path: Path) -> bool:
 
 
 def _triangles(part: Any, transform: NDArray[np.float64], uv_white: float) -> Triangles:
-    """Return a part; without normals in the file `[0, 3]` of them."""
+    """Return a part; normals are `[0, 3]` if the file lacks them."""
     vertices = np.asarray(part.vertices, dtype=np.float64) @ transform[:3, :3].T + transform[:3, 3]
     faces = np.asarray(part.faces, dtype=np.int64)
     if faces.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices):

@@ -237,7 +237,7 @@ def interpret(
 
     Raises:
         AmbiguousFileError: the headings are missing, or one may state several quantities.
-        NacreError: an unknown heading, one that stands twice, or a cell that is not a number.
+        NacreError: an unknown or repeated heading, or a cell that is not a number.
     """
     path = table.path
     assumed: list[str] = []

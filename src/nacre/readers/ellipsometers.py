@@ -40,7 +40,7 @@ REPEATS, OWN_MEAN = (1, 2, 3, 4), 0
 
 
 def sniff_accurion(head: FileHead) -> float:
-    """Return the confidence that a file is such a text."""
+    """Return the confidence that a file has this format."""
     for line in head.lines[:3]:
         if line.startswith("#") and set(_names_accurion(line)) >= NEEDED:
             return CERTAIN
@@ -178,7 +178,7 @@ MIN_ANGLE, MAX_ANGLE = 20.0, 90.0
 
 
 def sniff_film_sense(head: FileHead) -> float:
-    """Return the confidence that a file is such a text."""
+    """Return the confidence that a file has this format."""
     return CERTAIN if head.lines and head.lines[0].strip() in (STATIC, DYNAMIC) else 0.0
 
 
@@ -261,7 +261,7 @@ MUELLER = [f"m{i}{j}" for i in range(1, 5) for j in range(1, 5)]
 
 
 def sniff_horiba(head: FileHead) -> float:
-    """Return the confidence that a file is such a text."""
+    """Return the confidence that a file has this format."""
     found = {match[1].upper() for line in head.lines[:400] if (match := SECTION.match(line))}
     if "DATA" not in found:
         return 0.0
@@ -321,7 +321,7 @@ MAX_DEGREES = 5.0  # cos Delta stays within -1 .. 1; Delta in degrees does not
 
 
 def sniff_regress_pro(head: FileHead) -> float:
-    """Return the confidence that a file is such a text."""
+    """Return the confidence that a file has this format."""
     words = head.lines[0].upper().split() if head.lines else []
     return CERTAIN if words in (["SE", "PSI", "DELTA"], ["SE", "ALPHA", "BETA"]) else 0.0
 
@@ -390,7 +390,7 @@ UNIT = {"WAVELENGTH": "nm", "ENERGY": "eV", "WAVENUMBER": "1/cm"}
 
 
 def sniff_spectraray(head: FileHead) -> float:
-    """Return the confidence that a file is such a text."""
+    """Return the confidence that a file has this format."""
     for line in head.lines[:HEAD_LINES]:
         match = HEADING.match(line)
         if match and numbers(match[2]):
@@ -514,7 +514,7 @@ COLUMNS = ("sample/column_names", "data_collection/column_names")
 
 
 def sniff_nexus_ellipsometry(head: FileHead) -> float:
-    """Return the confidence that a file is such a file."""
+    """Return the confidence that a file has this format."""
     if not head.data.startswith(HDF5_MAGIC):
         return 0.0
     import h5py
@@ -766,7 +766,7 @@ WOOLLAM_ANGLES = re.compile(r"^(aoi|angle)$", re.IGNORECASE)
 
 
 def sniff_woollam_text(head: FileHead) -> float:
-    """Return the confidence that a file is such an export."""
+    """Return the confidence that a file has this format."""
     if _heading(head.lines) is not None:
         return WITH_HEADING
     lines = head.lines[:-1] if head.size > len(head.data) else head.lines  # the last line may be cut

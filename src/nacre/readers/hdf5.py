@@ -90,7 +90,7 @@ def node(file: h5py.Group, name: str) -> Any:
     """Return a group or dataset in the file itself, or None.
 
     Raises:
-        Hdf5Error: an external or a soft link stands on its path.
+        Hdf5Error: the path contains an external or a soft link.
     """
     import h5py
 

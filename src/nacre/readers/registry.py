@@ -109,7 +109,7 @@ def format_named(name: str) -> Format:
     """Return a format by its identifier.
 
     Raises:
-        NacreError: no format has it.
+        NacreError: the name is unknown.
     """
     for entry in FORMATS:
         if entry.id == name:

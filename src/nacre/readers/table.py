@@ -231,7 +231,7 @@ def chosen_block(path: Path, chosen: str, names: Sequence[str]) -> int:
     """Return the place of a block, spectrum or material by its name or its number, counted from 1.
 
     Raises:
-        AmbiguousFileError: there is none, or the name stands twice.
+        AmbiguousFileError: the name is missing or repeated.
     """
     places = [i for i, name in enumerate(names) if name.casefold() == chosen.casefold()]
     if not places and chosen.isdigit() and 1 <= int(chosen) <= len(names):

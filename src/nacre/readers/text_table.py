@@ -1,6 +1,6 @@
 """Tables in text files: encoding, delimiter, decimal mark, headings, units, remarks, blocks and missing cells.
 
-`read_tables` returns the cells as text and numbers, with what stands above them; `headings` gives them a meaning.
+`read_tables` returns the cells as text and numbers, with the lines above them; `headings` interprets these.
 """
 
 import csv

@@ -96,7 +96,7 @@ def matrices_of(file: h5py.File) -> ComplexArray:
     """Return T, `[wavelength, scattered, incident]`.
 
     Raises:
-        TMatrixFileError: there is none, or it is too large or not finite.
+        TMatrixFileError: the matrix is missing, too large or not finite.
     """
     matrix = dataset(file, "tmatrix")
     if matrix is None:

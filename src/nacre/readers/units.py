@@ -138,9 +138,9 @@ _OF_NONE: tuple[_Reading, ...] = (
 
 
 def spectral_units(values: Floats, quantity: str | None = None) -> tuple[str, ...]:
-    """Return the units in which numbers without one may be.
+    """Return the plausible units for numbers without one.
 
-    All numbers count, not one that passes a threshold.
+    All numbers must be plausible in the unit.
 
     Args:
         values: finite numbers.

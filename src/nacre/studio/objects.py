@@ -403,7 +403,7 @@ def computed_psi_delta(material: Material, asked: Any) -> dict[str, Any] | None:
 
 
 def scan_job(request: Mapping[str, Any], emit: Any = None) -> bytes:
-    """Check that an uploaded file is a scan of which a relief can be made; return an empty table.
+    """Check that an uploaded file is a scan usable as a relief; return an empty table.
 
     Args:
         request: as of `measurement_job`.

@@ -208,7 +208,7 @@ class Microfacet(ResponseLobe):
         return self.response.lookup(np.abs(np.sum(w * h, axis=-1)), w[..., 2] < 0, uv)
 
     def smooth_powers(self, w: Array, uv: Array | None = None) -> tuple[Array, Array]:
-        """Return R and T `[..., wavelength]` of the smooth interface for light along `w`, as `facet_powers` has it."""
+        """Return R and T `[..., wavelength]` of the smooth interface for light along `w`, as in `facet_powers`."""
         return self.response.resolved(np.abs(w[..., 2]), w[..., 2] < 0, uv)
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:

@@ -126,7 +126,7 @@ class Film(Polarised):
 
     @property
     def specular_stack(self) -> Stack:
-        """The stack, of which roughness weakens the specular reflection of s and p alike.
+        """The stack; roughness attenuates its specular reflection equally for s and p.
 
         Raises:
             UnsupportedError: ridges scatter all light.

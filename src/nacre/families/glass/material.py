@@ -34,8 +34,8 @@ logger = logging.getLogger("nacre")
 WALK_ANGLES = 13  # incidences for rough faces, interpolated by a spline
 # volume fraction, relative error of the reflectance in per cent: `python -m validation glass_balls`
 DENSE_BALLS = ((0.05, 4.0), (0.1, 6.0), (0.2, 8.0), (0.3, 10.0))
-SEARCH_WALKERS = 10_000  # through a ball in searches: a noise of 0.4 dE00
-SPECTRUM_WALKERS = 40_000  # a standard error of at most 0.0025
+SEARCH_WALKERS = 10_000  # walks per ball in searches: noise 0.4 dE00
+SPECTRUM_WALKERS = 40_000  # walks per spectrum: standard error at most 0.0025
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A pearl's flakes one by one, for sparkle and graininess: number, size, slope, brightness and what lies above.
+"""Individual flakes of a pearl, for sparkle and graininess: number, size, slope, brightness and shading from above.
 
 Under a small lamp, light reflected by one flake with the normal slope s_j, the half vector's slope s in the resin and
 the kernel k has, with the cosines mu inside and the transmittances t of the interfaces (compare

@@ -165,7 +165,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
         return next((reason for reason, applies in reasons.items() if applies), None)
 
     def energy_defect(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
-        """Return the light share lost by the "published" energy balance, `[angle, wavelength]`, if a pigment has it.
+        """Return the light share lost by the "published" energy balance, `[angle, wavelength]`, if a pigment uses it.
 
         A warning states the reason if the loss cannot be computed.
         """
@@ -224,7 +224,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
         return self._layered(wavelengths_nm)
 
     def single_flakes(self, wavelengths_nm: Array, weights: Array) -> FlakeTexture:
-        """Return the flakes one by one, for sparkle and graininess."""
+        """Return the individual flakes, for sparkle and graininess."""
         return FlakeTexture(self.strata, self.glints, wavelengths_nm, weights)
 
     @property

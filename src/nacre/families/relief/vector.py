@@ -1,4 +1,4 @@
-"""Reliefs by Maxwell's equations: the orders of a periodic surface, each as wide as the light's coherence has it."""
+"""Reliefs by Maxwell's equations: orders of a periodic surface, each with the width given by the coherence length."""
 
 from __future__ import annotations
 

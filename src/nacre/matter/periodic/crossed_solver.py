@@ -366,7 +366,7 @@ def _response(
     stack: PeriodicStack, k0: float, of: Components, modes: Sequence[Modes | Slab], content: Content, upper: Array,
     lower: Array,
 ) -> Array:  # fmt: skip
-    """Return the response of orders at both faces, for functions of which each channel is one."""
+    """Return the response of orders at both faces; each channel must be one of the functions."""
     outside, drives = [], []
     indices = stack.cover, stack.substrate.real
     size = len(of.x) + len(of.y)

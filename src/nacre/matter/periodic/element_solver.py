@@ -146,7 +146,7 @@ class _Basis:
         """Return a homogeneous medium's modes.
 
         Args:
-            held: orders, by number, that have a constant admittance instead, and its value.
+            held: numbers of orders with a fixed admittance, and its value.
         """
         rest = epsilon - self.squared / k0**2
         gamma = outgoing_root(rest)

@@ -211,7 +211,7 @@ class System:
 
 @dataclass(frozen=True, eq=False)
 class _Sparse:
-    """Equations of all functions; `places` are the numbers of those at the upper and at the lower end."""
+    """Equations for all functions; `places`: indices of the functions at the upper and at the lower end."""
 
     matrix: scipy.sparse.csc_matrix
     places: tuple[Array, Array]
@@ -294,7 +294,7 @@ class _Side:
         self.y, self.s = away, (back - away) @ light
 
     def _fluxes(self, epsilon: complex) -> tuple[Array, Array, Array]:
-        """Return f / e of the waves that leave and of those that come back, and their k_z."""
+        """Return f / e for outgoing and for incoming waves, and their k_z."""
         squared = epsilon - self.alpha**2 - self.k_y**2
         gamma = outgoing_root(squared)
         away, back = (_flux(epsilon, self.alpha, self.k_y, g) for g in (gamma, -gamma))

@@ -98,7 +98,7 @@ def order_tables(
         largest_error: limit for the estimated error of these solutions.
 
     Raises:
-        NotConvergedError: one of them has a larger error; the table is not begun.
+        NotConvergedError: a reference solution has a larger error; the table is not started.
     """
     keys = [case_key(stack, wavelength) for stack, wavelength in zip(stacks, wavelengths_nm.tolist(), strict=True)]
     key = (
@@ -409,7 +409,7 @@ def _between(
 
 
 def in_common(tables: list[OrderTables]) -> list[OrderTables]:
-    """Return tables with the orders of all of them; an order that a table lacks is dark."""
+    """Return tables with the union of their orders; efficiencies of orders that a table lacks are 0."""
     every = np.unique(np.concatenate([t.orders for t in tables]), axis=0)
     place = {tuple(number): k for k, number in enumerate(every.tolist())}
 
@@ -427,7 +427,7 @@ def in_common(tables: list[OrderTables]) -> list[OrderTables]:
 def _sources(
     thetas: int, azimuths: int, images: list[tuple[int, int]]
 ) -> dict[tuple[int, int], tuple[tuple[int, int], tuple[int, int]]]:
-    """Return for each (angle, azimuth) the solved direction of which it is a mirror image, and the signs of x and y."""
+    """Return for each (angle, azimuth) the solved direction that it mirrors, and the signs of x and y."""
     source: dict[tuple[int, int], tuple[tuple[int, int], tuple[int, int]]] = {}
     for t in range(thetas):
         for a in range(azimuths):

@@ -239,7 +239,7 @@ def map_into_solid(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Map CIELAB colours `[colour, 3]` into the convex hull around the levels' XYZ `[level, 3]`.
 
-    A colour outside goes to the lattice point in the solid that `match_colours` assigns, and from there as far as
+    A colour outside is mapped to the lattice point in the solid that `match_colours` assigns, and from there as far as
     possible towards the target.
 
     Returns:

@@ -301,7 +301,7 @@ class LeastSquaresSearch(Search):
         return [point for _, point in sorted(found, key=lambda pair: pair[0])]
 
     def _enumerate(self) -> None:
-        """Evaluate every combination of categorical and integer parameters, as far as the budget goes."""
+        """Evaluate the combinations of categorical and integer parameters, all if the budget allows."""
         for point in itertools.islice(combinations(self.problem.parameters)[1], 1 << 16):
             self.archive.add(self._objective(point), self.problem.changes(point))
 

@@ -494,7 +494,7 @@ class SurrogateSearch(Search):
         )
 
     def _without_tables(self, objective: float, point: Array, small: float) -> tuple[float, Array]:
-        """Remove, one by one, the tables of small amounts that the merit does not need."""
+        """Remove tables of small amounts, one at a time, while the objective hardly grows."""
         removable = self.problem.removable
         for i in sorted(removable, key=lambda i: point[i]):
             if objective > 1.0:

@@ -51,7 +51,7 @@ STATUS = {"interrupted": "interrupted", "time": "time limit"}  # otherwise done
 
 
 class ReliefFolder(SolvableFolder):
-    """Relief design at work; its folder holds heights, recipe and preview from the first seconds on.
+    """A running relief design; its folder contains heights, recipe and preview from the first seconds on.
 
     Raises:
         RecipeError: the target cannot be refined by Maxwell's equations.

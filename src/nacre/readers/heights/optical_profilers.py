@@ -694,7 +694,7 @@ def read_zygo_text(path: Path, options: ReadOptions) -> list[Measurement]:
 
 
 def _points(lines: list[str], shape: tuple[int, int], origin: tuple[int, int]) -> Array:
-    """Return the values of lines `column row value`; others than numbers, as "No Data", are holes."""
+    """Return the values of lines `column row value`; words such as "No Data" are holes."""
     heights = np.full(shape, np.nan)
     found = 0
     for line in filter(str.strip, lines):

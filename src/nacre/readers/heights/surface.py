@@ -106,7 +106,7 @@ def numbers(text: str, path: Path) -> Array:
     """Return all numbers of a text with blanks, commas or semicolons between them; BAD, NaN and --- are holes.
 
     Raises:
-        NacreError: something else stands between the numbers.
+        NacreError: there is text between the numbers.
     """
     has_words = any(word in text for word in ("BAD", "NA", "N/A", "null", "void", "--"))
     words = BAD.sub("nan", text) if has_words else text
@@ -248,7 +248,7 @@ def check_pitch(pitch_um: tuple[float, float]) -> None:
 
 
 def chosen(path: Path, maps: Sequence[Measurement], others: Sequence[str], options: ReadOptions) -> list[Measurement]:
-    """Return the maps of the option `channel`, by name or number from 1, or all of them.
+    """Return the maps selected by the option `channel` (name, or number from 1), or all maps.
 
     Raises:
         NacreError: no channel holds heights, or none has the name.

@@ -66,7 +66,7 @@ def read_usgs_splib(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read a spectrum with the wavelengths beside it, or those that the options name.
 
     Raises:
-        NacreError: a file of wavelengths, bandwidths or errors, no wavelengths, or another number of them.
+        NacreError: a file of wavelengths, bandwidths or errors, or wavelengths that are missing or differ in number.
         AmbiguousFileError: a measurement type that names no quantity.
     """
     page = _page(path)
@@ -130,7 +130,7 @@ def _page(path: Path) -> Page:
 def _beside(page: Page) -> tuple[Array, Path]:
     """Return the wavelengths in um for a spectrum, and their file, which lies beside it or in the folder above.
 
-    The file must have the spectrum's library and channel count; in the measured library (splib07), its spectrometer too.
+    The file must have the spectrum's library and channel count; in the measured library (splib07) its spectrometer too.
 
     Raises:
         NacreError: such a file is missing, or several have unlike wavelengths.

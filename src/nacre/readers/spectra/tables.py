@@ -137,7 +137,7 @@ def of_samples(table: TextTable, options: ReadOptions) -> list[Measurement] | No
 
     Raises:
         AmbiguousFileError: no quantity is stated, or the caller's key needs one of several columns.
-        NacreError: no column has the name, or no number stands in it.
+        NacreError: the column is missing or has no numbers.
     """
     if options.columns or not table.headings or not _is_spectral(table.headings[0], table.units[0]):
         return None
