@@ -9,10 +9,10 @@ with M the mean of that kernel over the flake slopes. The mean of g over positio
 glints equals the smooth one on average, and samples spread over a pixel average over its flakes.
 Slopes follow p(t) = 1 / (pi (1 + t^2)^2): SGGX along its axis (and GGX).
 
-To a camera a flake is a disc with a normal of its own. Under a small lamp it is luminous if its normal lies near the
+In a camera image a flake is a disc with its own normal. Under a small lamp it is luminous if its normal lies near the
 half vector: its luminance is `brightness` times the density of the slope between half vector and normal, a Gaussian
 that contains the flatness and the flake's diffraction, the angular spread of a rough interface, and the apertures of
-lamp and camera. Under diffuse light every flake is luminous, by its own reflectance, and covers what lies below it.
+lamp and camera. Under diffuse light every flake is luminous, by its own reflectance, and occludes the flakes below.
 Luminances are luminance factors: a perfect white diffuser under the same light has 1.
 """
 

@@ -2,9 +2,9 @@
 # mypy: disable-error-code="no-untyped-def"
 """Compiled random-walk steps through a stratum: rough interface, flight, platelet, diffuse base, phase function.
 
-All wavelengths share one path. Its throughputs `f[wavelength]` are weighted by what happens, and rescaled to an
-unchanged sum, which decides by chance what happens to the path. Flights have dz < 0 on the way down.
-Their twins on the device are in `nacre.device.walk`.
+All wavelengths share one path. Each event is drawn with probabilities averaged over the throughputs `f[wavelength]`;
+these are then weighted by the event's spectrum and rescaled to an unchanged sum. Downward flights have dz < 0.
+The device versions are in `nacre.device.walk`.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ _lock = threading.RLock()
 _compile_listeners: list[Callable[[float], None]] = []
 _seconds_compiled = 0.0
 _spared_work = 0.0
-LONGEST_COMPILATION_S = 120.0  # after which a process compiles what another one seems to compile
+LONGEST_COMPILATION_S = 120.0  # a process waits so long for another one's compilation, then compiles itself
 
 
 def compiled(**options: Any) -> Callable[[Function], Any]:

@@ -263,7 +263,7 @@ def _start_worker() -> None:
 
 
 def _end(executor: Executor) -> None:
-    """End an executor without waiting for what runs in it."""
+    """End an executor without waiting for its running tasks."""
     processes = list((getattr(executor, "_processes", None) or {}).values())
     if processes:
         executor.shutdown(wait=False, cancel_futures=True)

@@ -205,8 +205,8 @@ def single_threaded_blas() -> Iterator[None]:
     """Limit BLAS to one thread, for parallel threads or small products.
 
     OpenBLAS threads wait by spinning: small products from two threads cost three times their work. The limit is
-    process-wide; the first user sets it and the last one lifts it. Only a newly imported module brings a new library:
-    a search through all loaded ones takes 10 ms.
+    process-wide; the first user sets it and the last one lifts it. Libraries are searched (10 ms) only after new
+    imports.
     """
     from threadpoolctl import ThreadpoolController
 

@@ -398,7 +398,7 @@ def measure_image(image: Array, pixels: Pixels) -> Sparkle:
     return Sparkle(*whole, *(float(max(pair)) for pair in zip(errors, least, strict=True)))
 
 
-# Graininess of an effect coating under diffuse light: what the eye resolves of the flakes' unequal luminances.
+# Graininess of an effect coating under diffuse light: the flakes' luminance differences that the eye resolves.
 #
 # Flakes cover each other. With N the discs over a point, a and T luminance and transmittance of a flake, and both
 # points of a pair covered together by the share g of the discs (their covariogram), the second moment C of the
@@ -448,8 +448,8 @@ class DiffuseArea:
     Attributes:
         flakes: its pigments.
         mean: its mean luminance.
-        base: luminance of what lies below the flakes, as it would be without them; the rest of the mean that the flakes
-            do not reflect themselves is a uniform veil.
+        base: luminance below the flakes, as if they were absent; the remaining mean, not reflected by flakes, is a
+            uniform veil.
     """
 
     flakes: tuple[DiffuseFlakes, ...]

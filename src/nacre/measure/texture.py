@@ -1,10 +1,10 @@
 """Texture of effect coatings: sparkle under a small lamp at 15, 45 and 75 degrees, and graininess under diffuse light.
 
-The flakes of the recipe (size, slope, number, depth, and what lies above them) give both, from their statistics
-(`nacre.measure.sparkle`) or from drawn patches as the camera sees them. The mean luminance
-is that of the material's noise-free surrogate (doubling method) if its error is known, else that of its Bsdf.
-Instruments of the market map such quantities to scales that are not public: without measured pairs the scale is
-relative. `calibration` holds such pairs. `TextureQuantity` stands for one number of a design or a fit.
+Both follow from the recipe's flakes (size, slope, number, depth, layers above), by their statistics
+(`nacre.measure.sparkle`) or from simulated camera images of drawn patches. The mean luminance comes from the
+material's noise-free surrogate (doubling method) if its error is known, else from its Bsdf. Commercial instruments
+map such quantities to scales that are not public: without measured pairs (`calibration`) the scale is relative.
+`TextureQuantity` represents one number in a design or a fit.
 """
 
 from __future__ import annotations

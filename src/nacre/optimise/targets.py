@@ -31,7 +31,7 @@ from nacre.optimise.spec import COLOURS, RANGES, LightSpec, TargetEntry
 from nacre.readers.curves import FileSpec, recipe_spectrum
 from nacre.recipe.model import RecipeContext, show_value
 
-GAP_STEPS = 3.0  # times a table's usual step: wider apart, two rows leave out what lies between them
+GAP_STEPS = 3.0  # largest step between rows, relative to the median step; a larger one is a gap
 VISIBLE_NM = (380.0, 780.0)
 NOISE_FACTOR = 0.05  # factors down to -0.05 are accepted as noise on a dark sample
 MOST_FACTOR = 10.0  # reflectance factor of a mirror beside a matt white; a larger one is in per cent

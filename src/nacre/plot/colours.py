@@ -347,12 +347,12 @@ def tracks_figure(
     title: str = "",
     lightness: float | None = None,
 ) -> Figure:
-    """Draw tracks through CIE xy and a*, b*, and their luminance over the step.
+    """Draw tracks through CIE xy and a*, b*, and their luminance over the axis values.
 
     The axes show the actual values; the points are coloured at L* 50 to show their hues.
 
     Args:
-        tracks: by name, "gloss" and "diffuse" as a rule.
+        tracks: by name, usually "gloss" and "diffuse".
         wavelengths_nm: `[wavelength]`.
         step_label: name of the axis.
         illuminant: lamp; its white is marked.

@@ -54,7 +54,7 @@ class Column:
 
     Attributes:
         heading: as in the file, for messages.
-        meaning: quantity, unit and what the heading states besides.
+        meaning: quantity, unit and other properties in the heading.
         values: numbers in `meaning.unit`, NaN where missing.
         index: place in the table.
     """

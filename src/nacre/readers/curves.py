@@ -176,7 +176,7 @@ def _chosen(path: Path, usable: list[tuple[Measurement, str]], options: ReadOpti
 
 
 def recipe_curve(context: RecipeContext, key: str, given: FileSpec, axes: Sequence[Axis]) -> Floats:
-    """Return `[row, axis]` of a file that a recipe names; what was assumed is logged.
+    """Return `[row, axis]` of a file that a recipe names; assumptions are logged.
 
     Raises:
         RecipeError: with the key and the file's name.

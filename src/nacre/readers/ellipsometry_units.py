@@ -118,7 +118,7 @@ def pseudo_epsilon(psi_deg: Array, delta_deg: Array, angle_deg: Array) -> NDArra
 def delta_convention(
     path: Path, wavelength: Array, angle: Array, psi: Array, delta: Array
 ) -> tuple[str, tuple[str, ...]]:
-    """Return the convention of Delta in a file that names no maker, and a sentence on what was assumed and why.
+    """Return the convention of Delta in a file without a maker's name, and a sentence with the assumption and reason.
 
     Raises:
         AmbiguousFileError: the data agree with both signs.

@@ -46,8 +46,8 @@ def opened(path: str | Path, script: str = PROBE, timeout_s: float = PROBE_TIMEO
     """Open a file after a subprocess has read it: the HDF5 library hangs or crashes on some damaged files.
 
     Args:
-        script: what the subprocess runs.
-        timeout_s: its time.
+        script: the subprocess's script.
+        timeout_s: its time limit.
 
     Raises:
         Hdf5Error: not readable, or damaged.

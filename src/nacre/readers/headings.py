@@ -1,7 +1,7 @@
 """One vocabulary for headings of tables (quantities, units, errors, angles, polarisations, lamps) and the lines above.
 
-`meanings` returns what a heading may state. A reader chooses by the quantities that it can use; a heading without a
-meaning is an error of the reader.
+`meanings` returns the possible meanings of a heading. A reader selects those whose quantities it can use and refuses
+headings without a meaning.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def polarisation_word(text: str) -> str | None:
 
 @functools.lru_cache(maxsize=4096)
 def meanings(heading: str, unit: str = "") -> tuple[Meaning, ...]:
-    """Return what a heading may state; empty if it is not in the vocabulary.
+    """Return the possible meanings of a heading; empty if it is not in the vocabulary.
 
     Args:
         heading: text of the file.
@@ -178,7 +178,7 @@ def _of_bracketed(text: str, unit: str) -> tuple[Meaning, ...]:
 
 
 def _qualified(content: str, base: Meaning) -> Meaning | None:
-    """Return the meaning with what a pair of brackets states: unit, angle, polarisation, mode, lamp, observer."""
+    """Extend a meaning by the content of brackets: unit, angle, polarisation, mode, lamp, observer."""
     content = content.strip()
     if not content:
         return base
@@ -294,7 +294,7 @@ def _lookup(core: str) -> tuple[str, ...]:
 
 
 def _qualified_by(word: str, tokens: list[str], base: Meaning) -> Meaning | None:
-    """Return the meaning with what a word beside the quantity states: error, polarisation, mode, lamp, observer."""
+    """Extend a meaning by a word beside the quantity: error, polarisation, mode, lamp, observer."""
     if word == "±":
         return replace(base, is_error=True)
     if (measured := _how_measured(word, base)) is not None:

@@ -261,7 +261,7 @@ def sniff_cxf(head: FileHead) -> float:
 
 
 def read_cxf(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read the objects, grouped by what they hold: names, colours and spectra under one specification.
+    """Read the objects, grouped by content: names, colours and spectra under one specification.
 
     Raises:
         NacreError: an older version of CxF, or no colour of a surface.

@@ -291,7 +291,7 @@ CURVES = ("reflectance", "transmittance")
 
 
 def measurement_job(request: Mapping[str, Any], emit: Any = None) -> bytes:
-    """Return what a dropped file contains, as JSON.
+    """Return a dropped file's content as JSON.
 
     Args:
         request: uploaded file `path` and its original `name`.

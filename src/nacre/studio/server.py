@@ -466,7 +466,7 @@ def _studio(request: Request | WebSocket) -> Studio:
 
 
 def no_icon(request: Request) -> Response:
-    """Send the browsers' initial icon request."""
+    """Send an empty response to the browser's icon request."""
     return Response(status_code=204)
 
 

@@ -31,7 +31,7 @@ class OrdersLobe(Lobe):
 
     f = E_mn(a) G(q - lambda g_mn) (eta^2 if the viewer is below),  q = a_t + eta b_t,
 
-    so that light passes equally both ways.
+    which makes transmission reciprocal.
 
     Attributes:
         wavelengths_nm: `[wavelength]`.

@@ -355,10 +355,10 @@ def _follow(b, c, ratio, depths, quantile):
 
 @compiled(nogil=True, fastmath=True)
 def _walk_ball(seed, count, ratio, depths, quantile, forward, out):
-    """Walk through a ball of radius 1; `out[turn]` gets light; return the sums passed, absorbed and carried on.
+    """Walk through a ball of radius 1; tally light in `out[turn]`; return the passed, absorbed and carried sums.
 
-    Light comes along +z onto the shadow, stratified over its area: at impact b the normal is (b, 0, -c). The reflection
-    by the face is exact, and is not carried on.
+    Light is incident along +z, stratified over the ball's cross-section: at impact b the normal is (b, 0, -c). The
+    face's reflection is exact and excluded from the carried sum.
     """
     np.random.seed(seed)
     passed, absorbed, carried_on = 0.0, 0.0, 0.0

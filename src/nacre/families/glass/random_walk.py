@@ -34,9 +34,8 @@ class Face(NamedTuple):
 
     Attributes:
         alpha: GGX roughness.
-        outward: share of the light hidden by its facets that leaves on the ambient's side; negative: hidden light is
-            lost.
-        cosines: `[side, node]`, side 0 the ambient's: quantiles of the cosine at which hidden light leaves.
+        outward: share of shadowed light that leaves on the ambient's side; negative: shadowed light is lost.
+            cosines: `[side, node]`, side 0 the ambient's: quantiles of the exit cosine for shadowed light.
     """
 
     alpha: float

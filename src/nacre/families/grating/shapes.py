@@ -405,7 +405,7 @@ def _sides(table: Mapping[str, Any]) -> tuple[float, float]:
 
 
 def check_shapes(shapes: list[tuple[str, Shape]], cell: Cell) -> str | None:
-    """Return what is wrong with named shapes of one layer, or None: they leave the cell, or overlap."""
+    """Return the error in one layer's named shapes (outside the cell, or overlapping), or None."""
     for name, shape in shapes:
         if _leaves(shape, cell):
             return f"{name} leaves the cell, which reaches from {_extent(cell)} about its centre"

@@ -316,7 +316,7 @@ class GratingSpec(RecipeModel):
         """Return the period over the surface, if it varies.
 
         Raises:
-            RecipeError: it leaves what is allowed, or the structure has no period.
+            RecipeError: it leaves the allowed range, or the structure is not periodic.
         """
         given = self.lattice.period_nm
         if not isinstance(given, TextureSpec):

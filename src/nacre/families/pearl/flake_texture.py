@@ -205,8 +205,8 @@ class FlakeTexture:
     def _blur_um(self, i: int, reach_um: float, camera_rad: float) -> float:
         """Return the standard deviation of an image point on the surface.
 
-        By diffraction at the entrance pupil; by defocus, as the camera is focused on the outer surface; and by the
-        rough outer interface, which bends the light that comes from `reach_um` below.
+        Contributions: diffraction at the entrance pupil; defocus, as the camera is focused on the outer surface; and
+        refraction at the rough outer interface for light from `reach_um` below.
         """
         pupil = RESOLUTION * MIDDLE_UM / math.sin(camera_rad)
         defocus = 0.5 * reach_um * math.tan(camera_rad) / self.index[i]

@@ -2,7 +2,7 @@
 # mypy: disable-error-code="no-untyped-def"
 """Random walks in one platelet stratum over a base: one analog walk with three estimators.
 
-`walk` follows light through the stratum. It tallies what leaves in a table (for the tables of `quality = "fast"`), and
+`walk` traces light through the stratum. It tallies exiting light in a table (for the tables of `quality = "fast"`), and
 connects every platelet and the base with given viewers (next-event estimation, for the surrogate's correction). With d
 the flight inside, e the exit inside, t the interface transmittances and n the index,
 

@@ -141,7 +141,7 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Slopes too steep, or features too small, for scalar diffraction; what was done to a scan."""
+        """Slopes too steep, or features too small, for scalar diffraction; corrections applied to a scan."""
         found = self.validity
         lines: tuple[str, ...] = (self.remark,) if self.remark else ()
         if found.is_outside:

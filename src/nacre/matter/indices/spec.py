@@ -457,7 +457,7 @@ logger = logging.getLogger("nacre")
 
 
 def read_index_file(path: Path, options: ReadOptions) -> Table:
-    """Read n and k; what was assumed is logged.
+    """Read n and k; assumptions are logged.
 
     Raises:
         NacreError: the file cannot be read, holds no optical constants, or several materials of which none is chosen;

@@ -281,7 +281,7 @@ def _space(mesh: LineMesh, half: int, length: Array, alpha_0: Array) -> Space:
 
 
 def _admittance(epsilon: Array, alpha: Array, k_y: Array) -> Blocks:
-    """Return f / e `[2][2][case, wave]` of plane waves that go up."""
+    """Return f / e `[2][2][case, wave]` of upward plane waves."""
     squared = epsilon[:, None] - alpha**2 - k_y**2
     gamma = outgoing_root(squared)
     mixed = alpha * k_y / gamma
@@ -322,7 +322,7 @@ def _through(
     """Return e at the upper and at the lower face `[case, function, in]` for sources of f at both.
 
     Args:
-        above, below: f / e of the waves that leave.
+        above, below: f / e of outgoing waves.
         layers: f / e of the even state and e / f of the odd one, from the top down.
     """
     size = above.shape[1]

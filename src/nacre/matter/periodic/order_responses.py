@@ -236,7 +236,7 @@ def _places(numbers: Array, wanted: Array) -> Array:
 
 
 def _light(transverse: Array, index: float) -> tuple[Array, Array]:
-    """Return k_z / k0 and (E_x, E_y) `[direction, 2, in]` of unit s and p waves that come down."""
+    """Return k_z / k0 and (E_x, E_y) `[direction, 2, in]` of downward unit s and p waves."""
     sine = np.hypot(transverse[:, 0], transverse[:, 1])
     c, s = transverse_axes(transverse, 0.0)
     k_z = np.sqrt(index**2 - sine**2)
@@ -245,7 +245,7 @@ def _light(transverse: Array, index: float) -> tuple[Array, Array]:
 
 
 def _admittance(waves: Array, index: complex) -> tuple[Array, Array, Array]:
-    """Return f / e (xx, xy, yy) `[direction, order]` of waves `[direction, order, 2]` that leave."""
+    """Return f / e (xx, xy, yy) `[direction, order]` of outgoing waves `[direction, order, 2]`."""
     alpha, beta = waves[..., 0], waves[..., 1]
     squared = index**2 - alpha**2 - beta**2
     gamma = outgoing_root(squared)

@@ -23,15 +23,15 @@ MIN_STORED_S = 0.2  # solutions that take less are not stored
 
 @dataclass(frozen=True, eq=False)
 class Orders:
-    """Efficiencies of the orders that propagate; NaN where an order does not.
+    """Efficiencies of propagating orders; NaN for evanescent ones.
 
     Attributes:
         numbers: `[order, 2]`, (m, n).
-        angles_rad: `[angle]`, of incidence in the cover.
-        azimuth_rad: azimuth of the direction to the light, from x towards y.
+        angles_rad: `[angle]`, incidence angles in the cover.
+        azimuth_rad: azimuth of the direction towards the light, from x towards y.
         wavelengths_nm: `[wavelength]`.
-        reflected, transmitted: `[angle, wavelength, order, in]` with (s, p) incident, summed over the states of the
-            order.
+        reflected, transmitted: `[angle, wavelength, order, in]` for (s, p) incident, summed over the order's
+            polarisations.
         reflected_jones, transmitted_jones: `[angle, wavelength, order, out, in]`.
         reflected_direction, transmitted_direction: `[angle, wavelength, order, 3]`, wave vectors over k0.
         error: `[angle, wavelength]`, estimated largest efficiency error.

@@ -210,7 +210,7 @@ class _Media:
 
 
 def _uniform(epsilon: complex, alpha: Array, beta: float, kept: tuple[bool, ...]) -> Array:
-    """Return the admittance of waves that leave a homogeneous medium upward (or decay)."""
+    """Return the admittance of waves that propagate (or decay) upward in a homogeneous medium."""
     gamma = np.sqrt(epsilon - alpha.astype(complex) ** 2 - beta**2)
     gamma = np.where(np.abs(gamma) < 1e-6, 1e-6, np.where(gamma.imag < 0.0, -gamma, gamma))
     xx, xy, yy = (epsilon - beta**2) / gamma, beta * alpha / gamma, (epsilon - alpha**2) / gamma
@@ -367,7 +367,7 @@ def solved_case(case: RidgeCase, along: float) -> tuple[Array, Array]:
 
 
 def controlled(found: Array, factors: Array, expected: Array) -> Array:
-    """Return draws `[draw, ...]` less what their control variate explains, by linear regression over the draws.
+    """Return draws `[draw, ...]` corrected by their control variate, by linear regression over the draws.
 
     Args:
         found, factors: `[draw, ...]`, quantity and control variate.

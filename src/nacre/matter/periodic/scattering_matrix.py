@@ -193,7 +193,7 @@ def scatter(
     Args:
         layers: from the top down.
         depths: thickness of each layer times k0.
-        incident: `[mode, case]` amplitudes of the waves that come down in the cover, at its lower face.
+        incident: `[mode, case]` amplitudes of downward waves in the cover, at its lower face.
     """
     identity = np.eye(len(cover.gamma), dtype=complex)
     down: list[Solver] = []

@@ -36,7 +36,7 @@ SLICES = {"lines": (12, 24), "fourier": (12,)}  # additional slices for sloping 
 SLICES_RATE = 1.5  # observed: the error of steps falls as count^-2 in s, as count^-1 to count^-1.5 in p
 SLICES_SAFETY = 1.5  # error estimate, relative to the difference of the finer solution from the extrapolated limit
 SLICES_TOLERANCE = {"lines": 2e-3, "fourier": 1e-2}  # without a given tolerance
-ADJACENT_STEP = 2  # size of adjacent layers of metal lines: 1e-3, where the smallest has errors up to 1.3e-2
+ADJACENT_STEP = 2  # size index for adjacent layers of metal lines: error 1e-3; with the smallest size up to 1.3e-2
 STEEP, STEEP_RATIO = 4.0, 0.5  # slope beside a profile's corner above which errors only halve from size to size
 CHANCE = 6.0  # Fourier series: error over change, which may be small by chance; at most 5 in ten clear discs
 CORNER_RATE = 2.5  # the error of rectangles falls as degree^-2.5, by the fields at their corners
@@ -287,7 +287,7 @@ def _solve_slices(
 
 
 def _extrapolated(coarse: OrderSolution, fine: OrderSolution, ratio: float) -> OrderSolution:
-    """Return the limit of two sizes whose errors have a known ratio; it conserves what both conserve."""
+    """Extrapolate two sizes whose errors have a known ratio; quantities conserved by both remain conserved."""
     weight = ratio / (1.0 - ratio)
     sides = [
         replace(

@@ -16,8 +16,8 @@ from nacre.matter.periodic.types import Array
 MAX_UNKNOWNS = 1500  # unknowns in one linear system: some ten seconds
 NORMAL = 1e-14  # smaller transverse wave numbers are zero
 CLEAR_K = 1e-6  # a substrate with a smaller k transmits orders
-LEAST_ELEVATION = 4e-7  # angle between light and the surface, below which k_z loses its digits; it is taken as this
-GRAZING = 1e-13  # least square of k_z / k0 of an order; other waves along the surface carry no energy
+LEAST_ELEVATION = 4e-7  # least angle between light and surface (k_z loses digits below); smaller ones use it
+GRAZING = 1e-13  # least (k_z / k0)^2 for an order; below, a wave along the surface carries no energy
 
 
 @dataclass(frozen=True)

@@ -390,8 +390,8 @@ def by_size(path: Path, nm: Array, values: Array, notes: Notes, what: str, *, li
     """Return the quantity of values without a heading: a factor up to 1.1, per cent from 5 on.
 
     Args:
-        what: why the quantity is unknown, for the sentence.
-        likely: quantity that is assumed.
+        what: reason why the quantity is unknown, for the message.
+        likely: assumed quantity.
 
     Raises:
         AmbiguousFileError: sizes between, as of absorbance, or larger ones, as of counts.
