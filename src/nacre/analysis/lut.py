@@ -493,7 +493,7 @@ def refuse_orders(material: Material) -> None:
     """Check that a grating sends light to the mirror direction alone.
 
     Raises:
-        UnsupportedError: it sends orders to others.
+        UnsupportedError: orders propagate in other directions.
     """
     model = material.model
     if isinstance(model, Diffracting) and model.scatters_orders(model.wavelengths_nm):

@@ -111,7 +111,7 @@ class InterfacePolarisation:
         """Return the tables that `arrays` describes.
 
         Raises:
-            ValueError, KeyError: they are damaged.
+            ValueError, KeyError: the arrays are damaged.
         """
         eta, flipped = arrays["numbers"]
         tables = {name: arrays.get(name) for name in REGIONS}

@@ -229,7 +229,7 @@ class Substrate:
         """Return the other material's lobes at given wavelengths.
 
         Raises:
-            NacreError: it transmits, or is itself a random walk.
+            NacreError: the material transmits, or is itself solved by a random walk.
         """
         if self.other is None or self.kind == "strata":
             return ()

@@ -97,7 +97,7 @@ def require(*packages: str) -> None:
     """Check that packages of `SERVES` are installed, without importing them.
 
     Raises:
-        MachineError: one is not; the line of `missing_line`.
+        MachineError: a package is missing; the message is `missing_line`.
     """
     for name in packages:
         if importlib.util.find_spec(name) is None:

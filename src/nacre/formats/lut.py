@@ -484,7 +484,7 @@ def new_folder(path: Path) -> Iterator[Path]:
     """Yield a temporary folder that replaces `path` if the block succeeds.
 
     Raises:
-        NacreError: it cannot be written.
+        NacreError: the folder cannot be written.
     """
     parent = path.resolve().parent
     remove_leftovers(parent)

@@ -30,7 +30,7 @@ def examples_folder() -> Path:
     """Return the folder of the example recipes in the checkout or the installed package.
 
     Raises:
-        NacreError: there is neither.
+        NacreError: the folder is missing in both.
     """
     roots = (sys.prefix, sysconfig.get_path("data"), sysconfig.get_path("data", f"{os.name}_user"))
     installed = [Path(root) / "share" / "nacre" / "examples" for root in dict.fromkeys(roots)]
@@ -45,7 +45,7 @@ def examples() -> list[Example]:
     """Return all shipped recipes and targets, by name.
 
     Raises:
-        NacreError: they are not installed.
+        NacreError: the examples are not installed.
     """
     folder = examples_folder()
     found = []
@@ -79,7 +79,7 @@ def resolve_recipe_path(path: str | Path) -> Path:
     """Return a path if it exists, else the path of the example of that name.
 
     Raises:
-        NacreError: there is neither, but an example or a file has a similar name.
+        NacreError: neither exists, but an example or a file has a similar name.
     """
     if os.path.lexists(path):
         return Path(path)

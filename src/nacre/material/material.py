@@ -218,7 +218,7 @@ class Material:
             azimuth_deg: azimuth of the direction towards the light, from u.
 
         Raises:
-            UnsupportedError: the material lacks such a spectrum, or a formula uses x, y or z, which exist in pictures.
+            UnsupportedError: the material lacks such a spectrum, or a formula uses x, y or z, which exist only in pictures.
         """
         refuse_place(self.model, f"{self.context.source}: spectrum")
         grid = wavelength_grid(wavelengths_nm)
@@ -582,7 +582,7 @@ def as_material(thing: MaterialLike) -> Material:
     """Return a material unchanged; load a path, an example's name or a recipe's table.
 
     Raises:
-        UnsupportedError: it is neither.
+        UnsupportedError: another type.
         NacreError: there is no such material, or it is not valid.
     """
     found = loaded(thing)

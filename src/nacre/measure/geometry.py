@@ -195,7 +195,7 @@ def named_geometries(entries: Any, where: str) -> dict[str, Geometry]:
     """Return geometries by name from a list of tables with `name` and `at`.
 
     Raises:
-        RecipeError: it is no such list, a geometry is not known, or a name occurs twice or is the notation of another
+        RecipeError: not such a list, a geometry is not known, or a name occurs twice or is the notation of another
             geometry.
     """
     if not isinstance(entries, Sequence) or isinstance(entries, str):

@@ -471,7 +471,7 @@ class _Scene:
         return areas, math.sqrt(variance)
 
     def diffuse(self) -> tuple[list[tuple[float, DiffuseArea]], float]:
-        """Return the parts under diffuse light with the factors on their deviations, and the mean luminance."""
+        """Return the parts under diffuse light, each with the factor on its deviation, and the mean luminance."""
         found: list[tuple[float, DiffuseArea]] = []
         mean, made = 0.0, {}
         for share, parts in self.places:

@@ -125,7 +125,7 @@ def srgb_to_lab(text: str, where: str) -> Array:
     """Return CIELAB of `#rrggbb`, for D65 and the 2 degree observer, as sRGB is defined.
 
     Raises:
-        RecipeError: it has another form.
+        RecipeError: the text has another form.
 
     Example: "#ffffff" is (100, 0, 0).
     """

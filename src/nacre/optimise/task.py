@@ -175,7 +175,7 @@ class DesignTask(Task):
         """Refuse to overwrite the pictures of the target by its maps and other files of a folder.
 
         Raises:
-            RecipeError: one would be overwritten.
+            RecipeError: a picture would be overwritten.
         """
         maps = [f"{map_stem(p.path)}.png" for p in self.parameters]
         written = {(folder / name).resolve() for name in (*names, *maps)}

@@ -224,7 +224,7 @@ def check_choice(key: str, value: str, choices: Sequence[str]) -> None:
     """Check a value against the choices.
 
     Raises:
-        NacreError: it is not.
+        NacreError: the value is not among them.
     """
     if value not in choices:
         raise NacreError(f'{key} "{value}" is not known; choose from {", ".join(choices)}')

@@ -107,7 +107,7 @@ class Columns:
         """Return the only column of some quantities, or None.
 
         Raises:
-            NacreError: there are several.
+            NacreError: several columns match.
         """
         found = self.all(*quantities)
         if len(found) > 1:

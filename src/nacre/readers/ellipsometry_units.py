@@ -78,7 +78,7 @@ def to_nm(values: Array, unit: str, where: str) -> Array:
     """Return wavelengths in nm.
 
     Raises:
-        NacreError: an unknown unit, or a value outside 100 nm to 60 um, as after a change of the unit.
+        NacreError: an unknown unit, or a value outside 100 nm to 60 um, which indicates a wrong unit.
     """
     known = spectral_unit(unit)
     if known is None:

@@ -134,7 +134,7 @@ def refuse_links(file: h5py.File) -> None:
     """Refuse external links, soft links and data in other files anywhere in a file.
 
     Raises:
-        Hdf5Error: there is one.
+        Hdf5Error: the file contains one.
     """
     import h5py
 

@@ -441,7 +441,7 @@ def srgb_of_hex(path: Path, cell: str) -> list[float]:
     """Return encoded sRGB in [0, 1] of "#4a90d0".
 
     Raises:
-        NacreError: it has another form.
+        NacreError: the cell has another form.
     """
     try:
         return hex_to_srgb(cell)

@@ -30,7 +30,7 @@ from nacre.matter.periodic.structure import NotConvergedError
 ALONG_NODES = 21  # the solved directions are among them
 VIEWS_DEG, HALF_VIEW_DEG = (0.0, 15.0, 30.0, 45.0, 60.0), 7.5  # views for which the colour error is stated
 COLOUR_NM = 400.0, 700.0  # range without which a colour has no meaning
-LARGEST_ERROR = 0.1  # share of the reflected light
+LARGEST_ERROR = 0.1  # as a share of the reflected light
 BRIGHTEST = 1.0 - 1e-6
 
 

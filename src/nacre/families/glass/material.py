@@ -146,8 +146,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
     ) -> Spectrum | None:
         """Return reflectance and transmittance: by transfer for smooth faces, by quick random walks for rough ones.
 
-        The noise-free form of a rough glass needs no tables. None for s and p, several strata and bases of other
-        lobes.
+        None for s and p, for several strata and for bases with other lobes.
         """
         if polarisation != "both" or self.below or self.base.kind not in ("none", "diffuse"):
             return None

@@ -242,7 +242,7 @@ def _check_layer(thickness_nm: float, spheres: SpheresSpec, balls: BallsSpec | N
     """Check keys of several tables against each other.
 
     Raises:
-        ValueError: they do not fit together.
+        ValueError: inconsistent values.
     """
     across = MIN_LAYERS * 2 * spheres.outer_nm
     least, held = (across, "spheres") if balls is None else (MIN_LAYERS * 2 * balls.radius_nm, "balls")

@@ -429,7 +429,7 @@ class MetasurfaceSpec(RecipeModel):
         """Refuse overlapping circumscribing spheres.
 
         Raises:
-            RecipeError: they overlap.
+            RecipeError: the spheres overlap.
         """
         if least_nm < 2 * reach_nm * (1 - 1e-6):
             raise context.fail(
@@ -539,7 +539,7 @@ def write_particle(material: Metasurface, path: Path, description: str) -> list[
     """Write the particle's T-matrices as `*.tmat.h5`; return notes on omitted material properties.
 
     Raises:
-        UnsupportedError: they are too large.
+        UnsupportedError: the matrices are too large.
         NacreError: the file cannot be written.
     """
     known = particle_t_matrices(material)

@@ -293,7 +293,7 @@ class GlintsSpec(RecipeModel):
         """Return the glints of the uppermost stratum.
 
         Raises:
-            RecipeError: it lacks platelets, or one lacks a diameter.
+            RecipeError: the stratum lacks platelets, or a pigment lacks a diameter.
         """
         if not upper.flakes:
             raise context.fail("glints.surface_mm", self.surface_mm, "has no effect: strata[0] has no platelets")

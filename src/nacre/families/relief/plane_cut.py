@@ -299,8 +299,8 @@ def local_response(
 ) -> Array:
     """Return the BRDF at every window position, averaged over exits, `[x, y, wavelength]`, 1/sr, without Fresnel.
 
-    A microscope with a small aperture shows it. The window at c gives A_c, the reflection shifted to the direction and
-    smoothed, so that one inverse FFT gives all positions.
+    This is the image in a microscope with a small aperture. A_c of the window at c is the reflection, shifted to the
+    direction and smoothed; one inverse FFT therefore gives all positions.
 
     Args:
         wi: `[3]`, to the light.

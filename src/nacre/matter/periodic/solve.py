@@ -310,9 +310,9 @@ def difference(one: OrderSolution, other: OrderSolution) -> float:
 
 
 def amplitude_change(one: OrderSolution, other: OrderSolution) -> float:
-    """Return the largest change of an efficiency that the changes of its amplitudes allow at any phase.
+    """Return an upper bound for efficiency changes: the amplitude changes at their most unfavourable phase.
 
-    Changes at edges of metal turn in phase from size to size, so that those of efficiencies can vanish by chance.
+    At metal edges the phase of amplitude changes varies with size, so efficiency changes may vanish by chance.
     """
     zero = np.all(other.reflected.numbers == 0, axis=1)
     k_z = float(other.reflected.direction[zero, 2][0])

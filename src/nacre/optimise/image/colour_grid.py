@@ -203,7 +203,7 @@ def level_grid(palette: Palette, levels: int) -> ColourGrid:
     """Return the colours for all level combinations.
 
     Raises:
-        RecipeError: they are more than the budget.
+        RecipeError: their count exceeds the budget.
         NacreError: a material cannot be computed.
     """
     parameters = palette.sampler.parameters
@@ -218,7 +218,7 @@ def fine_grid(palette: Palette) -> ColourGrid:
     The result depends on the budget in evaluations alone, unless the refinement is stopped.
 
     Raises:
-        RecipeError: the first nodes are more than the budget.
+        RecipeError: the count of first nodes exceeds the budget.
         NacreError: a material cannot be computed.
     """
     from scipy.interpolate import make_interp_spline

@@ -177,7 +177,7 @@ def _stored_palette(folder: Path, checkpointer: Checkpointer) -> list[list[float
     """Return the colours of an interrupted run.
 
     Raises:
-        NacreError: they cannot be read.
+        NacreError: the checkpoint cannot be read.
     """
     try:
         found = np.array(checkpointer.progress.get("palette", []), dtype=float)

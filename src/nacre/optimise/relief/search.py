@@ -489,7 +489,7 @@ def refine(
     is_interrupted = False
     count, step = 1, FIRST_STEP * top if grid is None else float(grid[1])
     try:
-        while grid is not None or step >= LAST_STEP * top:  # on levels it ends when none improves
+        while grid is not None or step >= LAST_STEP * top:  # on discrete levels it ends when no step improves
             improved = False
             for k, sign in ((k, sign) for k in range(len(values)) for sign in (1.0, -1.0)):
                 if is_over():

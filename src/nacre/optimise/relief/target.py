@@ -540,7 +540,7 @@ def parse_colour(name: str, source: str) -> Array:
     """Return the display-referred triple in 0..1 for a published name or a hexadecimal value.
 
     Raises:
-        RecipeError: it is neither.
+        RecipeError: neither a known name nor hexadecimal.
     """
     if name in PUBLISHED_COLOURS:
         return np.array(PUBLISHED_COLOURS[name])

@@ -83,7 +83,7 @@ def shaped(values: Array, shape: tuple[int, int]) -> Array:
     """Return numbers as `shape`, which the head of a file states.
 
     Raises:
-        ValueError: there are more or fewer.
+        ValueError: the count does not match.
     """
     check_shape(shape)
     if values.size != shape[0] * shape[1]:
@@ -142,7 +142,7 @@ def whole_text(path: Path) -> str:
     """Return the text of a file that does not end within a number.
 
     Raises:
-        NacreError: it does.
+        NacreError: the condition is violated.
     """
     text = decoded(path.read_bytes())
     check_end(text, path)
@@ -153,7 +153,7 @@ def check_end(text: str, path: Path) -> None:
     """Refuse a table that ends within a number: its last number has fewer digits than all others of its row.
 
     Raises:
-        NacreError: it does.
+        NacreError: the condition is violated.
     """
     if text[-1:].isspace() or not text:
         return
@@ -184,7 +184,7 @@ def check_unit(path: Path, options: ReadOptions, stated: str) -> None:
     """Refuse an option `unit` that differs from the unit of heights in the file, which may be empty or not a length.
 
     Raises:
-        NacreError: it does.
+        NacreError: the condition is violated.
     """
     factor = length_um(stated)
     if factor is not None and options.unit is not None and not math.isclose(asked_unit(path, options), factor):
@@ -195,7 +195,7 @@ def asked_pitch(path: Path, options: ReadOptions) -> tuple[float, float]:
     """Return the option `pitch_um`.
 
     Raises:
-        AmbiguousFileError: it is not given.
+        AmbiguousFileError: the option is missing.
     """
     if options.pitch_um is None:
         raise AmbiguousFileError(

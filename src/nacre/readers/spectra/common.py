@@ -165,7 +165,7 @@ def first_block(path: Path, lines: Sequence[str]) -> Block:
     """Return the first table of two or more columns.
 
     Raises:
-        NacreError: there is none, or it is cut.
+        NacreError: the table is missing or cut.
     """
     found = blocks(lines, least_columns=2)
     if not found:

@@ -361,7 +361,7 @@ class OleFile:
         """Return a stream's content.
 
         Raises:
-            KeyError: there is none of this name.
+            KeyError: unknown name.
         """
         first, size = self._entries[name]
         if size < _MINI_LIMIT:

@@ -431,9 +431,9 @@ class Pairs:
 
     Attributes:
         left, right: the directions s and i.
-        phi: between their in-plane wavevectors.
+        phi: angle between their in-plane wavevectors.
         truth: |F|^2 / (n_s n_i) per sphere.
-        model: the same by the model.
+        model: the same ratio according to the model.
         control: the model with the pattern's S deviation rather than S.
         level: mean squared model over the pairs with s and with i.
         left_bins, right_bins: angle bins for s and i, ascending.

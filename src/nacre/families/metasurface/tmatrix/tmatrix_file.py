@@ -146,7 +146,7 @@ def read_several(paths: Sequence[Path], is_aligned: bool = False) -> axisymmetri
     """Read the T-matrices of one particle from several files, each at other wavelengths.
 
     Raises:
-        TMatrixFileError: one is unusable, or they are of different particles or media; the message names the file.
+        TMatrixFileError: a file is unusable, or the particles or media differ; the message names the file.
     """
     if len(paths) == 1:
         return read_tmatrices(paths[0], is_aligned)
