@@ -179,8 +179,8 @@ class LitFlakes:
         diffraction_um: standard deviation of that slope by diffraction, times the diameter in um.
         density: density of the flakes' slopes `[..., 2]`, weighted by projected area; integrates to the projected area
             of all flakes over that of the same flakes lying flat.
-        brightness: `[depth, crossings]`, luminance times unit slope area, on uniform depth nodes, by the number of other
-            flakes that the light crosses on its way in and out.
+        brightness: `[depth, crossings]`, luminance times unit slope area, on uniform depth nodes, by the number of
+            other flakes that the light crosses on its way in and out.
         crossings: mean number of crossings for a flake at the lower side of its stratum.
     """
 

@@ -218,7 +218,7 @@ class Material:
             azimuth_deg: azimuth of the direction towards the light, from u.
 
         Raises:
-            UnsupportedError: the material lacks such a spectrum, or a formula uses x, y or z, which exist only in pictures.
+            UnsupportedError: the material lacks such a spectrum, or a formula uses x, y or z, which only pictures have.
         """
         refuse_place(self.model, f"{self.context.source}: spectrum")
         grid = wavelength_grid(wavelengths_nm)

@@ -243,7 +243,7 @@ def _write_ply(path: Path, surface: Mesh) -> None:
 
 
 class MeshStore:
-    """The last few uploaded meshes, as PLY files for pictures; deleted at its end."""
+    """The last few uploaded meshes, as PLY files for pictures; deleted when the store is closed."""
 
     def __init__(self, capacity: int = 4) -> None:
         self._capacity = capacity

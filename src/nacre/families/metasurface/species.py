@@ -66,7 +66,7 @@ def place(body: Body, surface: Substrate, gap_nm: float, order: int | None = Non
 
     Raises:
         UnsupportedError: the order is not known.
-        MaterialRangeError: the wavelength is not.
+        MaterialRangeError: the wavelength is outside the tabulated range.
     """
     if order is not None:
         body.check_order(order)
@@ -135,7 +135,7 @@ def _truncation(surface: Substrate, particle: Particle) -> float:
     """Estimate the change by the omitted multipoles: the last step, extrapolated geometrically."""
     top = particle.lmax
     if top == 1:
-        return 0.0  # a dipole gives no estimate and is intended
+        return 0.0  # a pure dipole is intended and allows no estimate
     patterns = [
         _pattern(surface, replace(particle, t_matrix=truncated(particle.t_matrix, l)))
         for l in range(max(1, top - 2), top + 1)

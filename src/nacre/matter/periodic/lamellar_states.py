@@ -39,8 +39,8 @@ class Space:
         length: `[case]`, period times k0.
         slope: `[case, function, function]`, G.
         alpha, numbers: `[case, wave]`, wave numbers of plane waves over k0, and their orders.
-        joints: `[2, case, function, wave]`, plane-wave integrals with discontinuous functions (constants, then derivatives)
-            and with continuous ones (linear from wall to wall, then those that vanish at the walls).
+        joints: `[2, case, function, wave]`, plane-wave integrals with discontinuous functions (constants, then
+            derivatives) and with continuous ones (linear from wall to wall, then those that vanish at the walls).
     """
 
     mesh: LineMesh
