@@ -241,7 +241,7 @@ def diagnose(
     best_one = suspects[0]
     gain = 0.5 * (best_one.chi2 + best_one.factor**2 - all_chi2 - float(factors @ factors))
     if best_one.probability >= CERTAIN and gain < np.log(len(causes)):
-        del models["several causes"]  # the others, which the measurement does not show, explain nothing
+        del models["several causes"]  # further causes do not improve the fit enough
     verdict = max(models, key=lambda name: models[name][0])
     is_far = verdict == "several causes" and float(np.max(np.abs(factors))) > FARTHEST
     if models[verdict][1] > likelihood.largest_chi2 or is_far:

@@ -1,10 +1,10 @@
-"""Orders of structures of two periods.
+"""Diffraction orders of structures with two periods.
 
 In a layer the transverse fields obey gamma E = P H and gamma H = Q E (Li, J. Opt. Soc. Am. A 14, 2758 (1997)). Two
 bases serve:
 
 * rectangles with sides along x and y: tensor products of the piecewise polynomials of `line_basis`, discontinuous for
-  E_x along x and for E_y along y (edge elements on a mesh that knows the walls; no factorisation rule is needed);
+  E_x along x and for E_y along y (edge elements on a mesh aligned with the walls; no factorisation rule is needed);
 * other shapes: Fourier series in a circle of orders, whose factorisation rule follows the normals of the walls
   (Popov and Neviere, J. Opt. Soc. Am. A 18, 2886 (2001); Schuster et al., ibid. 24, 2880 (2007)).
 """

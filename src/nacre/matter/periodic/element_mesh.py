@@ -1,4 +1,4 @@
-"""Elements with curved sides on a cell of two periods that holds closed walls about one centre.
+"""Elements with curved sides on a doubly periodic cell with closed walls about one centre.
 
 A disc, an ellipse, or a ring: blocks with four sides follow the walls, a few more fill the innermost region, and the
 outermost reach the sides of the cell (of a lattice without right angles, the hexagon of the points nearest to one

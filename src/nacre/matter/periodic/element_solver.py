@@ -1,4 +1,4 @@
-"""Orders of closed smooth walls in two periods, metal included, by elements with curved sides.
+"""Diffraction orders of doubly periodic structures with closed smooth walls, also of metal, by curved elements.
 
 With e = E_t and f = (H_y, -H_x) in edge functions, the mass M, the gradient G, the curl C, and the mass N of E_z
 weighted by the permittivity, the fields in a layer obey

@@ -3,7 +3,7 @@
 With A = P Q, both states follow from T = tan(h sqrt A) / sqrt A (see `slab`). The tangent is a sum over poles, and each
 pole needs an inverse (s - h^2 A)^-1. Functions that vanish at the walls couple only through the values at the walls,
 so that this inverse is a diagonal plus a narrow product, and T takes less time than by its continued fraction. This
-holds for clear and absorbing dielectrics; layers with metal take the fraction.
+holds for clear and absorbing dielectrics; layers with metal use the continued fraction.
 """
 
 from __future__ import annotations

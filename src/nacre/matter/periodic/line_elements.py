@@ -1,4 +1,4 @@
-"""Orders of sloping lines and of deep profiles by elements across the plane, conical incidence included.
+"""Diffraction orders of sloping lines and deep profiles by two-dimensional elements, also for conical incidence.
 
 E_y and H_y are continuous across every face of a structure that does not vary along y. With k^2 = epsilon - k_y^2 and
 lengths times k0 they obey, for all test functions v,
@@ -9,7 +9,7 @@ lengths times k0 they obey, for all test functions v,
 with the fluxes f = (-i H_x, i E_x) that leave at the flat upper and lower ends, where plane waves continue the fields
 exactly, through uniform layers also. Elements follow the sloping walls or the profile, so neither steps nor modes of
 large dynamic range occur. They are graded towards corners, and their polynomial degree is the size (hp elements;
-Schwab, p- and hp-Finite Element Methods, 1998). Without loss the matrix is Hermitian but for the ends, so energy is
+Schwab, p- and hp-Finite Element Methods, 1998). Without loss the matrix is Hermitian except at the ends, so energy is
 conserved at any size.
 """
 

@@ -1,7 +1,7 @@
 """Waves through layers: modes or symmetric states of each layer, joined from the substrate upward.
 
-Fields along the layers are vectors of E = (E_x, E_y) and H = (H_x, H_y), in units of E. The modes of a layer that go
-up are the columns of `W` (for E) and `V` (for H) with phase exp(i gamma z); those that go down have the same E and -H.
+Fields along the layers are vectors of E = (E_x, E_y) and H = (H_x, H_y), in units of E. The upward modes of a layer are
+the columns of `W` (for E) and `V` (for H) with phase exp(i gamma z); downward modes have the same E and -H.
 Only decaying exponentials occur, so layers may be of any depth (Moharam et al., J. Opt. Soc. Am. A 12, 1077 (1995); Li,
 ibid. 13, 1024 (1996)). A `Slab` has the states that are even and odd about its middle in place of modes.
 """

@@ -1,4 +1,4 @@
-"""Periodic structures at one wavelength: cell, shapes, layers, profile, and the orders that they send out.
+"""Periodic structures at one wavelength: cell, shapes, layers, profile, and diffraction orders.
 
 Sloping and rounded walls become slices with vertical walls.
 """

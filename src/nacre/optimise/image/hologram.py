@@ -1,8 +1,8 @@
 """Dot-matrix holograms: a picture seen under a lamp becomes maps of grating azimuth and period.
 
-Each pixel is three dots side by side, one for each of three wavelengths; two pictures take turns row by row. A dot
-sends one wavelength to the viewer: its wave vector is g = q / lambda, with q the sum over the transverse directions to
-the light and to the viewer. A dot is dimmed by a small lattice turn, which moves its order away from the viewer:
+Each pixel is three adjacent dots, one for each of three wavelengths; two pictures alternate by rows. A dot diffracts
+one wavelength to the viewer: its wave vector is g = q / lambda, with q the sum over the transverse directions to
+the light and to the viewer. A dot is dimmed by a small lattice rotation, which moves its order away from the viewer:
 an order with angular width w falls to a share s at the distance w sqrt(-2 ln s) of q from the line of its lattice.
 """
 

@@ -2,10 +2,10 @@
 
 The deterministic surrogate (`Surrogate.surrogate_radiance`) has an exact and an approximate part. Its coarse form
 locates local minima and its fine form refines them. The approximate part is corrected by a Monte Carlo estimate at the
-current point (space mapping: spectrum = exact + estimated rest x approximation / approximation there), the search goes
-on from the corrected surrogate, and the estimate is repeated there, until the point no longer moves and the noise is
-small. If a family knows the error of its surrogate, estimates count as far as they are more accurate than that, and
-minima are located without them. Draws and estimates keep their seeds for all candidates.
+current point (space mapping: spectrum = exact + estimated rest x approximation / approximation there). The corrected
+surrogate is refined and the estimate repeated at the new point, until the point no longer moves and the noise is small.
+If a family states the error of its surrogate, estimates are weighted by their accuracy relative to it, and minima are
+located without them. Draws and estimates use the same seeds for all candidates.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Compiled merit function: residuals of stack spectra and their derivatives by its thicknesses.
 
-The twin of `nacre.optimise.merit` in numba, for the thin-film search: a call takes microseconds. A test
-ties the two.
+Numba version of `nacre.optimise.merit` for the thin-film search: a call takes microseconds. A test compares both.
 """
 
 from __future__ import annotations
