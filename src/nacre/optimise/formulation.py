@@ -728,7 +728,7 @@ def _amount_errors(paint: _Paint, fractions: Sequence[float]) -> Array:
 def _reference(made: Material, task: Task) -> Array:
     """Return the BRDF `[geometry, wavelength]` by a random walk, or by the doubling method if there is none."""
     pairs, grid = aspecular_pairs(task.colour_geometries), task.merit.wavelengths_nm
-    assert isinstance(made.model, Surrogate)  # as `factors` says
+    assert isinstance(made.model, Surrogate)  # checked in `factors`
     estimate = made.model.estimate_radiance(*pairs, grid, WALKS, task.spec.search.seed)
     if estimate is not None:
         return estimate[0]

@@ -209,7 +209,7 @@ class _Passes:
 
     def run(self, report: ProgressCallback, on_better: Callable[[Frame], None] | None) -> Frame:
         until, plan, clock = self.settings.until, self.plan, Clock()
-        is_asked = False  # to end
+        is_asked = False  # whether an end has been requested
         shown = 0  # samples last given to `on_better`
         started = time.perf_counter()
         with interrupt.held_back() as is_interrupted:

@@ -32,7 +32,7 @@ from nacre.readers.text_table import number
 LEAST_OF_8_BITS = 90.0  # a* and b* of all colours above it are values of 8 bits, of which 128 is neutral
 _QUANTITIES = {"spectra", "reflectance", "srgb", "L", "X"}
 LEAST_REFLECTANCE = -0.05  # noise about zero of dark colours
-MOST_L = 200.0  # L* of light far brighter than white, as of mirrors beside it
+MOST_L = 200.0  # L* of light far brighter than white, such as mirror reflections
 
 
 def check_scale(lab: Array, path: Path) -> None:

@@ -61,7 +61,7 @@ class ReadOptions:
         columns: canonical column names of a table without headings; `-` ignores a column.
         ignore: headings of columns to ignore.
         format: identifier in `registry.FORMATS`; recognised from the content by default.
-        wavelengths: file of the wavelengths of a spectrum of the USGS library, which is one column.
+        wavelengths: wavelength file for a spectrum from the USGS library, which has one column.
         expects: kind that the caller needs; decides the columns of a table without headings.
         assumed_quantity: quantity of a table of two columns without headings, which the caller's key states.
     """

@@ -537,7 +537,7 @@ def _shared_bits(sizes: Array, room: int) -> list[int]:
     wish = np.log2(np.maximum(sizes, 1e-9))
     bits = np.full(len(sizes), LEAST_BITS)
     for _ in range(room - LEAST_BITS * len(sizes)):
-        bits[int(np.argmax(wish - bits))] += 1  # to the coarsest field
+        bits[int(np.argmax(wish - bits))] += 1  # give the bit to the coarsest field
     return [int(b) for b in bits]
 
 

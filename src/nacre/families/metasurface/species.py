@@ -392,7 +392,7 @@ class MultipoleConvergence:
         lam = np.array([surface.wavelength_nm])
         inside = [species.core, *([] if species.shell is None else [species.shell.material])]
         near = 0.0 if self.first_film_nm is None else min(self.first_film_nm, species.outer_radius_nm)
-        over = max(surface.inner_nm - species.gap_nm - species.height_nm, 0.0)  # to the upper host layer face
+        over = max(surface.inner_nm - species.gap_nm - species.height_nm, 0.0)  # to the host's upper face
         lengths = (*species.sizes.radii_nm, species.outer_radius_nm, 1.0 + species.gap_nm + near, 1.0 + over)
         steps = tuple(int(np.floor(np.log(length) / NEAR)) for length in lengths)
         return (

@@ -57,7 +57,7 @@ BETWEEN, BETWEEN_SEED = 6, 40  # directions at which the error between nodes is 
 BETWEEN_MANY = 48  # if solutions or responses are cheap: anomalies and plasmons occupy few directions
 PROBES = 4  # directions from which the solver's size is chosen
 MIN_STORED_S = 2.0  # tables that take less are not stored
-MIN_PART_S = 0.5  # nor are their parts
+MIN_PART_S = 0.5  # limit for parts of tables
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,7 +373,7 @@ def _between(
     is_quick = coarse_method(stacks[0], float(wavelengths_nm[0])) == "lines" and step == 0
     solved_count = BETWEEN_MANY if is_quick else BETWEEN
     count = BETWEEN_MANY if is_quick or fits else BETWEEN
-    t = generator.integers(0, max(int(0.85 * thetas), 1), count)  # to 76 degrees
+    t = generator.integers(0, max(int(0.85 * thetas), 1), count)  # nodes up to 76 degrees
     a = generator.integers(0, azimuths, count)
     theta, phi = 0.5 * np.pi * (t + 0.5) / thetas, 2.0 * np.pi * (a + 0.5) / azimuths + np.pi
     waves = range(0, len(wavelengths_nm), max(len(wavelengths_nm) // 2, 1))

@@ -304,7 +304,7 @@ def _seen_from_below(layer: Layer) -> Layer:
     if is_isotropic(medium):
         return layer
     angle = 0.0 if helix is None else helix.total_turn(float(layer.thickness_nm))
-    turned = _Turned(cast(HasTensor, medium), angle)  # as is_isotropic says
+    turned = _Turned(cast(HasTensor, medium), angle)  # checked by is_isotropic
     return Layer(turned, layer.thickness_nm, layer.incoherent, None if helix is None else helix.backward)
 
 

@@ -124,7 +124,7 @@ class ReliefTask(Task):
     @property
     def fingerprint(self) -> str:
         """Hash of everything that defines the task, without the time limit."""
-        views = [self.problem.target]  # and their directions, which a colour states
+        views = [self.problem.target]  # with the views' directions, which colour targets define
         for view in self.problem.views:
             views += [view.geometry.psi_x, view.geometry.psi_y, view.geometry.wi]
         target = hashlib.sha256(b"".join(np.ascontiguousarray(each).tobytes() for each in views)).hexdigest()

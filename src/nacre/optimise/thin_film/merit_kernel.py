@@ -96,7 +96,7 @@ def _narrowed(goal: Operand, margin: float) -> tuple[float, float]:
         by = min(HUE_MARGIN * by, 0.1 * width)
         return (low, high) if width >= 360.0 else (low + by, low + width - by)
     if goal.kind == "chroma":
-        by *= 1.0 + 0.045 * (low if np.isfinite(low) else high)  # as much as dE00 scales chroma down by
+        by *= 1.0 + 0.045 * (low if np.isfinite(low) else high)  # dE00 divides chroma differences by this factor
     by = min(by, 0.1 * (high - low))
     return low + by, high - by
 

@@ -142,7 +142,7 @@ def whole_text(path: Path) -> str:
     """Return the text of a file that does not end within a number.
 
     Raises:
-        NacreError: the condition is violated.
+        NacreError: it ends within a number.
     """
     text = decoded(path.read_bytes())
     check_end(text, path)
@@ -153,7 +153,7 @@ def check_end(text: str, path: Path) -> None:
     """Refuse a table that ends within a number: its last number has fewer digits than all others of its row.
 
     Raises:
-        NacreError: the condition is violated.
+        NacreError: the table ends within a number.
     """
     if text[-1:].isspace() or not text:
         return
@@ -184,7 +184,7 @@ def check_unit(path: Path, options: ReadOptions, stated: str) -> None:
     """Refuse an option `unit` that differs from the unit of heights in the file, which may be empty or not a length.
 
     Raises:
-        NacreError: the condition is violated.
+        NacreError: the units differ.
     """
     factor = length_um(stated)
     if factor is not None and options.unit is not None and not math.isclose(asked_unit(path, options), factor):
