@@ -30,8 +30,8 @@ from nacre.core.errors import UnsupportedError
 
 LOSS_NODES = 41  # nodes over sqrt(cos); energy error 3e-4 at alpha 0.1 ... 1
 MOST_AZIMUTH_NODES = 49  # nodes over cos^2 azimuth: 4 alpha_x/alpha_y + 1, as the loss varies faster for larger ratios
-FACET_NODES = 64  # facet quadrature: 6e-4 of energy
-FACET_NODES_ANISOTROPIC = 50  # 1e-3; anisotropic roughness needs many more directions
+FACET_NODES = 64  # facet quadrature: energy error 6e-4
+FACET_NODES_ANISOTROPIC = 50  # energy error 1e-3; anisotropic roughness needs many more directions
 SMALLEST_COSINE = 1e-4
 
 

@@ -347,7 +347,7 @@ def _lights(parts: list[ComplexArray]) -> ComplexArray:
     return np.asarray(both.reshape(*both.shape[:2], -1))
 
 
-NOTHING = 1e-30  # relative power below which opaque layers block light
+NOTHING = 1e-30  # relative transmitted power below which a layer counts as opaque
 S_HARMONICS = 14  # S harmonics in the power sums; |X||Y| has no more
 
 
