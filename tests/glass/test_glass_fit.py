@@ -10,6 +10,7 @@ import pytest
 import nacre
 from nacre.analysis.fit import CORRECTION_SEEDS, CORRECTIONS, Measured, fit_parameters, run_fit
 from nacre.families.glass import material as glass_material
+from nacre.families.glass import tables
 from nacre.formats.measured_lobes import GonioData
 from nacre.studio.appearance import appearances
 
@@ -46,7 +47,7 @@ def test_a_rough_glass_is_fitted_with_a_handful_of_walks(monkeypatch: pytest.Mon
         raise AssertionError("a table is baked for a reflectance")
 
     monkeypatch.setattr(glass_material, "walk", counted)
-    monkeypatch.setattr(glass_material, "diffuse_table", never)
+    monkeypatch.setattr(tables, "diffuse_table", never)
     start = truth.vary(START)
     fit = run_fit(start, measured, fit_parameters(start), starts=0)
     assert 0 < len(walks) <= (CORRECTIONS * CORRECTION_SEEDS + 1) * len(ANGLES)
@@ -65,8 +66,8 @@ def test_the_fast_form_is_fitted_without_tables_and_walks(monkeypatch: pytest.Mo
     def never(*args: Any, **options: Any) -> Any:
         raise AssertionError("neither is needed for these numbers")
 
-    for name in ("walk", "diffuse_table", "walk_error"):
-        monkeypatch.setattr(glass_material, name, never)
+    for module, name in ((glass_material, "walk"), (tables, "diffuse_table"), (tables, "walk_error")):
+        monkeypatch.setattr(module, name, never)
     start = truth.vary(START)
     gonio = GonioData(np.array([[45.0, 0.0, theta, 180.0] for theta in (0.0, 20.0, 60.0)]), WAVES, np.zeros((3, 8)))
     seen = Measured("gonio", WAVES, gonio.values, gonio=gonio)
