@@ -12,8 +12,10 @@ from read_back import read_slice
 
 import nacre
 from nacre.analysis.import_export import export_material
+from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.orders import OrdersLobe
 from nacre.bsdf.lobes.table import from_half_difference, half_difference
+from nacre.bsdf.texture import Texture
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.formats.bsdf_tables import (
@@ -376,3 +378,20 @@ def test_colours_of_narrow_orders_do_not_depend_on_the_wavelength_step(tmp_path:
     bright = pictures[0].max(axis=-1) > 0.1 * pictures[0].max()
     assert bright.sum() > 100
     np.testing.assert_allclose(pictures[1][bright], pictures[0][bright], atol=0.02 * pictures[0].max())
+
+
+def test_narrow_orders_under_a_mask_have_the_masks_share_of_their_colours(tmp_path: Path) -> None:
+    grid, lattice = np.arange(380.0, 781.0, 20.0), np.array([[1.0 / 900.0, 0.0], [0.0, 0.0]])
+    table = np.full((2, 2, 2, len(grid)), 0.1, dtype=np.float32)
+    orders = OrdersLobe(grid, table, lattice, np.array([[-1, 0], [1, 0]]), 0.01)
+    pictures, remarks = [], []
+    for name, lobe in (
+        ("whole", orders),
+        ("half", MaskedLobe(grid, orders, Texture(0.0, 1.0, image=np.full((2, 2), 0.5)))),
+    ):
+        nacre.Bsdf((lobe,)).save(tmp_path / f"{name}.nacre")
+        found = export_material(nacre.load(tmp_path / f"{name}.nacre"), "exr", tmp_path / f"{name}.exr")
+        pictures.append(OpenEXR.File(str(tmp_path / f"{name}.exr")).channels()["RGB"].pixels.astype(float))
+        remarks.append(found["lost"])
+    assert remarks[0] == remarks[1] and any("nm apart" in each for each in remarks[1])
+    np.testing.assert_allclose(pictures[1], 0.5 * pictures[0], atol=1e-6 * pictures[0].max())

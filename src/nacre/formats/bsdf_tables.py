@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import is_isotropic as is_isotropic
-from nacre.bsdf.lobes.orders import OrdersLobe
+from nacre.bsdf.lobes.orders import narrowest_nm, order_lobes
 from nacre.bsdf.lobes.table import TableLobe, from_half_difference
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, UnsupportedError
@@ -254,7 +254,7 @@ def lost_parts(bsdf: Bsdf) -> list[str]:
 
 def narrow_lost(bsdf: Bsdf) -> list[str]:
     """Return the remark on diffraction orders, whose width a grid of directions does not resolve."""
-    widths = [np.degrees(lobe.width) for lobe in bsdf.lobes if isinstance(lobe, OrdersLobe)]
+    widths = [np.degrees(lobe.width) for lobe in order_lobes(bsdf.lobes)]
     return [f"orders {min(widths):.2g} degrees wide between the directions of the file's grid"] if widths else []
 
 
@@ -262,7 +262,7 @@ def lines_lost(bsdf: Bsdf, target: str) -> list[str]:
     """Return the remark on lines of orders between the wavelengths of a spectral file."""
     if target not in SPECTRAL:
         return []
-    line = min((lobe.line_nm for lobe in bsdf.lobes if isinstance(lobe, OrdersLobe)), default=np.inf)
+    line = narrowest_nm(bsdf.lobes)
     step = float(np.diff(bsdf.wavelengths_nm).max(initial=0.0))
     return [f"lines of orders, {line:.2g} nm wide, between wavelengths {step:g} nm apart"] if step > line else []
 

@@ -15,7 +15,7 @@ from nacre.bsdf import Bsdf, Lobe
 from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.lobes.interface import Diffuse, Microfacet
 from nacre.bsdf.lobes.masked import MaskedLobe
-from nacre.bsdf.lobes.orders import OrdersLobe
+from nacre.bsdf.lobes.orders import OrdersLobe, narrowest_nm
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array, direction, floats
 from nacre.core.errors import UnsupportedError
@@ -92,7 +92,7 @@ def evaluate_for_colours(
     own = np.asarray(bsdf.wavelengths_nm)
     lobes = [(each, *unmasked(each, None, (1,))) for each in bsdf.lobes]
     orders = [(lobe, share) for _, lobe, share in lobes if isinstance(lobe, OrdersLobe)]
-    grid = line_wavelengths(own, _narrowest_nm(bsdf))
+    grid = line_wavelengths(own, narrowest_nm(bsdf.lobes))
     if len(grid) == len(own):
         return *evaluate_with_error(bsdf, wi, wo, samples=samples, seed=seed), own
     rest = tuple(each for each, lobe, _ in lobes if not isinstance(lobe, OrdersLobe))
@@ -113,7 +113,7 @@ def tristimulus_of_pairs(bsdf: Bsdf, wi: Array, wo: Array, illuminant: str) -> A
         bsdf: without random walks.
         wi, wo: `[pair, 3]`.
     """
-    if _narrowest_nm(bsdf) == np.inf:
+    if narrowest_nm(bsdf.lobes) == np.inf:
         return spectrum_to_xyz(np.maximum(bsdf.evaluate(wi, wo), 0.0), bsdf.wavelengths_nm, illuminant)
     found = []
     for start in range(0, len(wi), PAIRS_AT_ONCE):
@@ -151,15 +151,9 @@ def on_wavelengths(values: Array, own_nm: Array, wavelengths_nm: Array) -> Array
     return found
 
 
-def _narrowest_nm(bsdf: Bsdf) -> float:
-    """Return the narrowest `line_nm`, infinity without orders."""
-    lobes = [unmasked(lobe, None, ())[0] for lobe in bsdf.lobes]
-    return min((lobe.line_nm for lobe in lobes if isinstance(lobe, OrdersLobe)), default=np.inf)
-
-
 def _warn_of_lines(bsdf: Bsdf) -> None:
     """Warn that lines lie between the wavelengths."""
-    line, steps = _narrowest_nm(bsdf), np.diff(bsdf.wavelengths_nm)
+    line, steps = narrowest_nm(bsdf.lobes), np.diff(bsdf.wavelengths_nm)
     if steps.max(initial=0.0) > max(line, LEAST_STEP_NM):
         said = (
             f"at fixed directions its orders are lines {line:.2g} nm wide, between wavelengths {steps.max():g} nm apart"

@@ -1,5 +1,6 @@
 """Diffraction orders of a periodic structure, reflected or transmitted, each with a narrow angular width."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.response import check_parameters
 from nacre.bsdf.texture import ParameterAxis, Texture, places
 from nacre.core.arrays import Array, interpolate
@@ -222,3 +224,19 @@ def limited_width(width: float, lattice: Array, shortest_nm: float) -> float:
         else [lattice[0], lattice[1], lattice[0] - lattice[1], lattice[0] + lattice[1]]
     )
     return min(width, MAX_OVERLAP * shortest_nm * min(float(np.hypot(*v)) for v in vectors))
+
+
+def order_lobes(lobes: Iterable[Lobe]) -> list[OrdersLobe]:
+    """Return the lobes with diffraction orders, also those under masks."""
+    found = []
+    for lobe in lobes:
+        while isinstance(lobe, MaskedLobe):
+            lobe = lobe.inner
+        if isinstance(lobe, OrdersLobe):
+            found.append(lobe)
+    return found
+
+
+def narrowest_nm(lobes: Iterable[Lobe]) -> float:
+    """Return the narrowest `line_nm`, infinity without orders."""
+    return min((lobe.line_nm for lobe in order_lobes(lobes)), default=np.inf)
