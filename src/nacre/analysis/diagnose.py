@@ -71,8 +71,8 @@ class SpectrumObservation:
     def model(self, material: Material, samples: int | None, seed: int) -> Array:
         """Return the material's spectrum."""
         theta = np.radians(self.angle_deg)
-        found = material.spectrum(theta, self.wavelengths_nm, self.polarisation, seed=seed)
-        part = found.specular_transmittance if self.is_transmitted else found.specular_reflectance
+        spectrum = material.spectrum(theta, self.wavelengths_nm, self.polarisation, seed=seed)
+        part = spectrum.specular_transmittance if self.is_transmitted else spectrum.specular_reflectance
         return np.zeros(len(self.wavelengths_nm)) if part is None else part[0]
 
 
@@ -166,10 +166,10 @@ class Diagnosis:
         if self.verdict == "several causes":
             sure = np.flatnonzero((self.factor_errors < DETERMINED) & (np.abs(self.factors) > 2 * self.factor_errors))
             moved = ", ".join(f"{self.names[i]} {self.factors[i]:+.2f} +- {self.factor_errors[i]:.2f}" for i in sure)
-            known = int(np.sum(self.factor_errors < DETERMINED))
+            determined = int(np.sum(self.factor_errors < DETERMINED))
             return (
                 "No single cause explains the measurement; several deviate, in standard deviations of their tolerance: "
-                f"{moved or 'none significantly'}. {known} of {len(self.names)} causes are determined.{advice}"
+                f"{moved or 'none significantly'}. {determined} of {len(self.names)} causes are determined.{advice}"
             )
         far = int(np.argmax(np.abs(self.factors)))
         reason = f"chi-squared {self.all_chi2:.0f} of {self.points} values"
@@ -299,8 +299,8 @@ class _Likelihood:
 
     def material(self, factors: Array) -> Material:
         """Return the recipe with all causes at their factors."""
-        found = values_at(self.causes, np.atleast_2d(factors))
-        return self._make({path: float(column[0]) for path, column in found.items()})
+        numbers = values_at(self.causes, np.atleast_2d(factors))
+        return self._make({path: float(column[0]) for path, column in numbers.items()})
 
     def predict(self, factors: Array, observations: Sequence[Observation]) -> Array:
         """Return the simulated values of observations, `[point, value]`, at factors `[point, cause]`."""
@@ -316,15 +316,15 @@ class _Likelihood:
         """Return the stacks of all points at once, if thicknesses of a smooth film alone deviate."""
         key = tuple(map(id, observations))
         if key not in self._batches:
-            found = stack_batch(self._make, self.causes, observations, self._simulated)
-            self._batches[key] = tuple(observations), found
+            batch = stack_batch(self._make, self.causes, observations, self._simulated)
+            self._batches[key] = tuple(observations), batch
         return self._batches[key][1]
 
     def residual(self, factors: Array) -> Array:
         """Return the normalised residuals `[value]`, or `[point, value]` of factors `[point, cause]`."""
-        found = self.predict(np.atleast_2d(factors), self.observations)
+        predicted = self.predict(np.atleast_2d(factors), self.observations)
         measured = np.concatenate([np.ravel(each.values) for each in self.observations])
-        rows: Array = (found - measured) / self.noise
+        rows: Array = (predicted - measured) / self.noise
         return rows if np.ndim(factors) == 2 else rows[0]
 
     def chi2(self, factors: Array) -> float:
@@ -345,8 +345,8 @@ class _Likelihood:
 def _central_differences(function: Callable[[Array], Array], factors: Array) -> Array:
     """Return the derivatives of a function of the factors, `[value, cause]`."""
     steps = STEP * np.eye(len(factors))
-    found = function(np.concatenate([factors + steps, factors - steps]))
-    return np.asarray(found[: len(factors)] - found[len(factors) :]).T / (2.0 * STEP)
+    values = function(np.concatenate([factors + steps, factors - steps]))
+    return np.asarray(values[: len(factors)] - values[len(factors) :]).T / (2.0 * STEP)
 
 
 def _single(likelihood: _Likelihood, number: int) -> tuple[float, Suspect]:
@@ -373,9 +373,9 @@ def _single(likelihood: _Likelihood, number: int) -> tuple[float, Suspect]:
         trial = float(np.clip(factor + step, start - reach, start + reach))
         if abs(trial - factor) < RESTING:
             break
-        found = at(trial)
-        if found[0] <= cost:
-            factor, (cost, first, second) = trial, found
+        moved = at(trial)
+        if moved[0] <= cost:
+            factor, (cost, first, second) = trial, moved
             step = -first / second
         else:
             step *= 0.5
@@ -399,7 +399,7 @@ def _all_causes(likelihood: _Likelihood, best: Suspect) -> tuple[Array, Array, f
     costs = np.sum(likelihood.residual(drawn) ** 2, axis=1) + np.sum(drawn**2, axis=1)
     starts = [np.zeros(count), likelihood.along(likelihood.names.index(best.name), best.factor)]
     starts += list(drawn[np.argsort(costs)[:STARTS]])
-    found = min(
+    minimum = min(
         (
             least_squares(
                 lambda x: np.concatenate([likelihood.residual(x), x]),
@@ -411,9 +411,9 @@ def _all_causes(likelihood: _Likelihood, best: Suspect) -> tuple[Array, Array, f
         ),
         key=lambda result: float(result.cost),
     )
-    slope = np.asarray(found.jac)
+    slope = np.asarray(minimum.jac)
     covariance = np.linalg.inv(slope.T @ slope)
-    return np.asarray(found.x), covariance, likelihood.chi2(found.x)
+    return np.asarray(minimum.x), covariance, likelihood.chi2(minimum.x)
 
 
 def _advice(likelihood: _Likelihood, suspects: Sequence[Suspect]) -> str:
@@ -422,8 +422,8 @@ def _advice(likelihood: _Likelihood, suspects: Sequence[Suspect]) -> str:
     at = [likelihood.along(likelihood.names.index(each.name), each.factor) for each in likely]
 
     def separates(pair: Sequence[SpectrumObservation], noise: float) -> bool:
-        seen = likelihood.predict(np.array(at), pair)
-        return min(float(np.sum((a - b) ** 2)) / noise**2 for a, b in combinations(seen, 2)) > SEPARATED
+        predicted = likelihood.predict(np.array(at), pair)
+        return min(float(np.sum((a - b) ** 2)) / noise**2 for a, b in combinations(predicted, 2)) > SEPARATED
 
     return _first_pair(likelihood, separates)
 
@@ -513,16 +513,16 @@ class StackBatch:
         """Return the reflectances `[point, value]` for path -> numbers `[point]`."""
         moved = sum(np.outer(column - self.nominal[path], self.slopes[path]) for path, column in numbers.items())
         thicknesses = np.maximum(self.thicknesses_nm + moved, 0.0)
-        found: dict[tuple[int, float], Any] = {}
+        solved: dict[tuple[int, float], Any] = {}
         spectra = []
         for row in self.rows:
             key = (id(row.indices), row.theta_rad)
-            if key not in found:
+            if key not in solved:
                 media = np.broadcast_to(row.indices, (len(thicknesses), *row.indices.shape))
-                found[key] = powers(media, thicknesses, row.wavelengths_nm, [row.theta_rad])
-            both = found[key]
-            seen = {"s": both.R_s, "p": both.R_p, "both": 0.5 * (both.R_s + both.R_p)}[row.polarisation]
-            spectra.append(seen[:, 0])
+                solved[key] = powers(media, thicknesses, row.wavelengths_nm, [row.theta_rad])
+            both = solved[key]
+            reflectance = {"s": both.R_s, "p": both.R_p, "both": 0.5 * (both.R_s + both.R_p)}[row.polarisation]
+            spectra.append(reflectance[:, 0])
         return np.concatenate(spectra, axis=1)
 
 
@@ -580,14 +580,14 @@ def _coherent_stack(made: Material) -> Stack | None:
 def _rows(observations: Sequence[Any], stack: Stack) -> tuple[_Row, ...] | None:
     """Return the observed spectra, or None if one is not a reflectance of a smooth surface."""
     rows = []
-    known: dict[bytes, ComplexArray] = {}
+    cached: dict[bytes, ComplexArray] = {}
     for each in observations:
         grid = np.asarray(getattr(each, "wavelengths_nm", np.zeros(0)), dtype=float)
-        asked = _asked(each)
-        if asked is None or not grid.size:
+        spectra = _asked(each)
+        if spectra is None or not grid.size:
             return None
-        indices = known.setdefault(grid.tobytes(), stack.indices(grid))
-        rows += [_Row(grid, float(np.radians(angle)), polarisation, indices) for angle, polarisation in asked]
+        indices = cached.setdefault(grid.tobytes(), stack.indices(grid))
+        rows += [_Row(grid, float(np.radians(angle)), polarisation, indices) for angle, polarisation in spectra]
     return tuple(rows)
 
 

@@ -102,12 +102,12 @@ class EllipsometricResponse:
         """All quantities by name, `[angle, wavelength]`."""
         eps = self.pseudo_epsilon
         relative = self.relative
-        found = {
+        columns = {
             "psi_deg": self.psi_deg, "delta_deg": self.delta_deg, "ncs_n": self.n, "ncs_c": self.c, "ncs_s": self.s,
             "depolarisation": self.depolarisation, "pseudo_eps1": eps.real, "pseudo_eps2": eps.imag,
             "reflectance": self.mueller[..., 0, 0],
         }  # fmt: skip
-        return found | {f"m{i + 1}{j + 1}": relative[..., i, j] for i in range(4) for j in range(4)}
+        return columns | {f"m{i + 1}{j + 1}": relative[..., i, j] for i in range(4) for j in range(4)}
 
 
 def instrument_of(material: Material) -> InstrumentSpec:
@@ -119,8 +119,8 @@ def instrument_of(material: Material) -> InstrumentSpec:
     table = material.data.get("instrument")
     if not table:
         return InstrumentSpec()
-    found: InstrumentSpec = validate(InstrumentSpec, table, material.context)
-    return found
+    instrument: InstrumentSpec = validate(InstrumentSpec, table, material.context)
+    return instrument
 
 
 def compute_ellipsometry(
@@ -202,8 +202,8 @@ def _mueller(stack: Stack, theta: Array, waves: Array, azimuth: float, scales: A
     if stack.is_isotropic:
         n, thicknesses = stack.indices(waves), _scaled(stack, scales)
         if stack.is_coherent:
-            found = solve(n, thicknesses, waves, theta)
-            powers_p, powers_s, products = np.abs(found.r_p) ** 2, np.abs(found.r_s) ** 2, found.r_p * found.r_s.conj()
+            field = solve(n, thicknesses, waves, theta)
+            powers_p, powers_s, products = np.abs(field.r_p) ** 2, np.abs(field.r_s) ** 2, field.r_p * field.r_s.conj()
         else:
             flags = [layer.incoherent for layer in stack.layers]
             powers = incoherent_powers(n, thicknesses, flags, waves, theta)
@@ -259,12 +259,12 @@ def _disc(radius: float, count: int) -> tuple[Array, Array]:
     return radius * np.cos(angle), weights / weights.sum()
 
 
-def ellipsometry_document(found: EllipsometricResponse) -> dict[str, Any]:
+def ellipsometry_document(response: EllipsometricResponse) -> dict[str, Any]:
     """Return computed ellipsometry as JSON data, with its conventions."""
     return {
-        "wavelengths_nm": found.wavelengths_nm.tolist(),
-        "angles_deg": found.angles_deg.tolist(),
-        **{name: values.tolist() for name, values in found.columns().items()},
+        "wavelengths_nm": response.wavelengths_nm.tolist(),
+        "angles_deg": response.angles_deg.tolist(),
+        **{name: values.tolist() for name, values in response.columns().items()},
         "convention": {
             "rho": "r_p / r_s = tan(psi) exp(i delta), fields exp(+i w t), r_p = -r_s at normal incidence",
             "ncs": "N = cos 2psi, C = sin 2psi cos delta, S = sin 2psi sin delta",
@@ -325,11 +325,11 @@ class EllipsometryData:
             NacreError: the material cannot be computed.
         """
         stack, instrument = specular_stack(material), instrument_of(material)
-        found = np.empty((len(self.angles_deg), 4, 4))
+        matrices = np.empty((len(self.angles_deg), 4, 4))
         for angles, waves, rows in self._grids():
             computed = averaged_mueller(stack, angles, waves, instrument.azimuth_deg, instrument)
-            found[rows] = computed[np.searchsorted(angles, self.angles_deg[rows]), _places(waves, self, rows)]
-        response = EllipsometricResponse(self.row_wavelengths_nm, self.angles_deg, found)
+            matrices[rows] = computed[np.searchsorted(angles, self.angles_deg[rows]), _places(waves, self, rows)]
+        response = EllipsometricResponse(self.row_wavelengths_nm, self.angles_deg, matrices)
         if self.quantities[0].startswith("m"):
             relative = response.relative
             return np.stack([relative[:, int(name[1]) - 1, int(name[2]) - 1] for name in self.quantities])
@@ -344,11 +344,11 @@ class EllipsometryData:
         angles, waves = np.unique(self.angles_deg), self.wavelengths_nm
         if len(angles) * len(waves) <= 1.5 * len(self.angles_deg):
             return [(angles, waves, np.arange(len(self.angles_deg)))]
-        found = []
+        grids = []
         for angle in angles:
             rows = np.flatnonzero(self.angles_deg == angle)
-            found.append((np.array([angle]), np.unique(self.row_wavelengths_nm[rows]), rows))
-        return found
+            grids.append((np.array([angle]), np.unique(self.row_wavelengths_nm[rows]), rows))
+        return grids
 
     def surrogate(self, material: Material) -> Array | None:
         """Return None: a stack lacks noise."""
@@ -363,7 +363,7 @@ class EllipsometryData:
 
     def curves(self, fitted: Array) -> list[tuple[str, tuple[str, str], tuple[tuple[str, Array, Array, Array], ...]]]:
         """Return title, axis labels and curves (label, x, measured, fitted) of Psi and Delta, or of each quantity."""
-        shown = [
+        compared = [
             (name.upper().replace("NCS_", ""), self.values[i], fitted[i]) for i, name in enumerate(self.quantities)
         ]
         unit = ""
@@ -371,7 +371,7 @@ class EllipsometryData:
             unit = " (degrees)"
             psi, delta = zip(*(_angles(ncs) for ncs in (self.values, fitted)))
             near = delta[0] + 180.0 - np.mod(180.0 - (delta[1] - delta[0]), 360.0)
-            shown = [("Psi", psi[0], psi[1]), ("Delta", delta[0], near)]
+            compared = [("Psi", psi[0], psi[1]), ("Delta", delta[0], near)]
         is_single = len(self.wavelengths_nm) == 1
         x = self.angles_deg if is_single else self.row_wavelengths_nm
         groups = [(f"{self.wavelengths_nm[0]:g} nm", np.arange(len(x)))] if is_single else [
@@ -380,7 +380,7 @@ class EllipsometryData:
         axis = "Angle of incidence (degrees)" if is_single else "Wavelength (nm)"
         return [
             (name, (axis, f"{name}{unit}"), tuple((label, x[i], measured[i], model[i]) for label, i in groups))
-            for name, measured, model in shown
+            for name, measured, model in compared
         ]
 
     def mse(self, residual: Array, parameters: int) -> float:

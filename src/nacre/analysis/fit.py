@@ -147,14 +147,14 @@ def read_measurements(
         NacreError: with the file and the problem.
         AmbiguousFileError: a file can be read in several ways.
     """
-    found = [
+    parts = [
         part for path in paths for part in fit_data.parts_of(read_measurement(path, options, range_nm, instrument))
     ]
-    found += [fit_data.stated_colours(colours)] if colours else []
-    found += [fit_data.stated_texture(texture, instrument)] if texture else []
-    if instrument is not None and not any(isinstance(part, fit_data.TextureData) for part in found):
+    parts += [fit_data.stated_colours(colours)] if colours else []
+    parts += [fit_data.stated_texture(texture, instrument)] if texture else []
+    if instrument is not None and not any(isinstance(part, fit_data.TextureData) for part in parts):
         raise NacreError("instrument: the measurements state no texture; add sparkle_45 or another quantity")
-    return fit_data.joined(found)
+    return fit_data.joined(parts)
 
 
 def read_measurement(
@@ -184,35 +184,35 @@ def read_measurement(
     if fit_data.is_geometry_list(path):
         return fit_data.colour_measurement(path)
     options = replace(options or ReadOptions(), expects="spectrum")
-    found = open_file(path, options)
-    if found[0].kind == "colours":
+    parts = open_file(path, options)
+    if parts[0].kind == "colours":
         return fit_data.colour_measurement(path)
-    if found[0].kind == "bsdf":
-        return gonio_measurement(path, found[0])
-    if found[0].metadata.get("table") == ORDERS:
-        return fit_data.orders_measurement(path, found[0], range_nm)
-    chosen = [m for m in found if m.kind == "ellipsometry" and ("depolarisation" not in m.data or "psi_deg" in m.data)]
+    if parts[0].kind == "bsdf":
+        return gonio_measurement(path, parts[0])
+    if parts[0].metadata.get("table") == ORDERS:
+        return fit_data.orders_measurement(path, parts[0], range_nm)
+    chosen = [m for m in parts if m.kind == "ellipsometry" and ("depolarisation" not in m.data or "psi_deg" in m.data)]
     if chosen:
         is_stated = options.delta_convention is not None
         return ellipsometry_data(_one_of(path, chosen, options), range_nm, options.spectrum, is_stated)
-    return spectrum_measurement(path, found, options, range_nm)
+    return spectrum_measurement(path, parts, options, range_nm)
 
 
-def _one_of(path: Path, found: Sequence[Measurement], options: ReadOptions) -> Measurement:
-    if len(found) == 1:
-        return found[0]
-    names = tuple(m.name or str(i) for i, m in enumerate(found, 1))
+def _one_of(path: Path, measurements: Sequence[Measurement], options: ReadOptions) -> Measurement:
+    if len(measurements) == 1:
+        return measurements[0]
+    names = tuple(m.name or str(i) for i, m in enumerate(measurements, 1))
     if options.spectrum is None or options.spectrum not in names:
         raise AmbiguousFileError(
-            f"{path}: holds {len(found)} data sets ({', '.join(names)[:100]}); choose one with --spectrum",
+            f"{path}: holds {len(measurements)} data sets ({', '.join(names)[:100]}); choose one with --spectrum",
             "spectrum",
             names,
         )
-    return found[names.index(options.spectrum)]
+    return measurements[names.index(options.spectrum)]
 
 
 def other_sign(
-    found: Fit, measured: fit_data.Data, free: tuple[Parameter, ...], ties: Ties | None = None
+    fit: Fit, measured: fit_data.Data, free: tuple[Parameter, ...], ties: Ties | None = None
 ) -> float | None:
     """Return the relative rms of a fit with the other Delta sign if it agrees much better; else None.
 
@@ -220,10 +220,10 @@ def other_sign(
     """
     if not isinstance(measured, EllipsometryData) or measured.is_sign_stated or len(measured.quantities) != 3:
         return None
-    if not measured.quantities[0].startswith("ncs") or found.relative_rms < POOR_RMS:
+    if not measured.quantities[0].startswith("ncs") or fit.relative_rms < POOR_RMS:
         return None
-    other = run_fit(found.material, measured.with_other_sign(), free, starts=2, ties=ties, intervals="linear")
-    return other.relative_rms if other.relative_rms < BETTER * found.relative_rms else None
+    other = run_fit(fit.material, measured.with_other_sign(), free, starts=2, ties=ties, intervals="linear")
+    return other.relative_rms if other.relative_rms < BETTER * fit.relative_rms else None
 
 
 def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
@@ -234,14 +234,14 @@ def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[P
     """
     source = material.context.source
     table = by_path(material.data.get("fit", {}), {"min", "max"}, source, "fit")
-    given = []
+    overrides = []
     for option in options:
         path, equals, text = option.rpartition("=")
         bounds = text.split(":")
         if not equals or len(bounds) != 2:
             raise RecipeError(f'--parameter "{option}" cannot be read; write it like layers[0].thickness_nm=100:600')
-        given.append((path.strip(), [_number(bounds[0]), _number(bounds[1])]))
-    table = with_options(table, given, "--parameter")
+        overrides.append((path.strip(), [_number(bounds[0]), _number(bounds[1])]))
+    table = with_options(table, overrides, "--parameter")
     if not table:
         raise RecipeError(f"{source}: nothing is free; add a [fit] table or use --parameter PATH=LOW:HIGH")
     return read_parameters(table, material, source, "fit", MAX_PARAMETERS, words=False)
@@ -309,9 +309,9 @@ def run_fit(
     for turn in range(MOST_TURNS):
         candidates = problem.select_starts(starts, scouts, turn)
         for number, start in enumerate(candidates, 1):
-            found = problem.refine(start)
-            if found is not None:
-                minima.append(found)
+            minimum = problem.refine(start)
+            if minimum is not None:
+                minima.append(minimum)
                 if progress:
                     best = problem.relative(min(each.loss for each in minima))
                     progress(f"start {number} of {len(candidates)}" + (f", turn {turn + 1}" if turn else ""), best)
@@ -353,14 +353,14 @@ def run_fit(
 def _agreement(measured: fit_data.Data, residual: Array, parameters: int) -> tuple[FittedPart, ...]:
     parts = fit_data.parts_of(measured)
     places = measured.places if isinstance(measured, fit_data.Joint) else [slice(None)]
-    found = []
+    agreement = []
     for part, place in zip(parts, places):
         own = residual.ravel()[place]
         rms = float(np.sqrt(np.mean(own**2)))
         size = float(np.sqrt(np.mean(part.values**2))) or 1.0
         mse = part.mse(own, parameters) if isinstance(part, EllipsometryData) else None
-        found.append(FittedPart(fit_data.name_of(part, ""), part.kind, part.values.size, rms, rms / size, mse))
-    return tuple(found)
+        agreement.append(FittedPart(fit_data.name_of(part, ""), part.kind, part.values.size, rms, rms / size, mse))
+    return tuple(agreement)
 
 
 class _Problem:
@@ -447,8 +447,8 @@ class _Problem:
             for n, f in zip(numbers, self._free)
         )
         noisy = not is_direct(self.build(end.point).model) and self._samples is not None
-        whole = any(each.is_whole for each in self._free)
-        if method == "linear" or whole or noisy or self._walk_means is not None or end.loss == 0.0:
+        has_integers = any(each.is_whole for each in self._free)
+        if method == "linear" or has_integers or noisy or self._walk_means is not None or end.loss == 0.0:
             return linear
         if method == "auto" and (not self._is_quick() or not least_squares.is_nonlinear(self.residual, end, widths)):
             return linear
@@ -536,8 +536,8 @@ class _Problem:
         losses = [self._loss(point) for point in sample]
         scanned = [sample[i] for i in np.argsort(losses)[:SCANNED]]
         for point in ([nominal] if nominal is not None else []) + scanned:
-            for found, loss in self._scanned(point, sweeps=1 + (turn > 0)):
-                sample.append(found)
+            for scanned_point, loss in self._scanned(point, sweeps=1 + (turn > 0)):
+                sample.append(scanned_point)
                 losses.append(loss)
         for index in np.argsort(losses):
             if len(chosen) >= count:
@@ -551,7 +551,7 @@ class _Problem:
         if not self.has_orders:
             return []
         shortest = float(np.min(self._measured.wavelengths_nm))
-        best, found = point, []
+        best, deepest = point, []
         for i in self._thicknesses() * sweeps:
             match = THICKNESS.search(self._free[i].path)
             assert match is not None
@@ -563,9 +563,9 @@ class _Problem:
             padded = np.concatenate([[np.inf], losses, [np.inf]])
             minima = np.flatnonzero((losses <= padded[:-2]) & (losses <= padded[2:]))
             minima = minima[np.argsort(losses[minima])][:SCANNED]
-            found += [(line[j], float(losses[j])) for j in minima]
+            deepest += [(line[j], float(losses[j])) for j in minima]
             best = line[minima[0]]
-        return found
+        return deepest
 
     def refine(self, start: Array) -> least_squares.LocalMinimum | None:
         """Refine one start by least squares, then by CMA-ES if finite differences see only noise."""
@@ -612,13 +612,13 @@ class _Problem:
         residual = self.residual(end.point)
         freedom = max(1, residual.size - len(end.point))
         variance = float(np.sum(residual**2)) / freedom
-        left, singular, rotation = np.linalg.svd(end.jacobian, full_matrices=False)
+        left_vectors, singular, rotation = np.linalg.svd(end.jacobian, full_matrices=False)
         floor = np.finfo(float).eps * end.jacobian.shape[0] * (singular.max() if singular.size else 0.0)
         inverse = np.where(singular > floor, 1.0 / np.maximum(singular, 1e-300), np.inf)
         with np.errstate(invalid="ignore"):
             data = variance * np.nansum((rotation * inverse[:, None]) ** 2, axis=0)
             finite = np.where(singular > floor, inverse, 0.0)
-            walks = self._walk_variance(end.point, (rotation.T * finite) @ left.T)
+            walks = self._walk_variance(end.point, (rotation.T * finite) @ left_vectors.T)
             total = data + walks
             degrees = total**2 / (data**2 / freedom + walks**2 / (CORRECTION_SEEDS - 1))
             half = np.where(total > 0.0, np.sqrt(total) * t.ppf(0.975, np.nan_to_num(degrees, nan=freedom)), 0.0)

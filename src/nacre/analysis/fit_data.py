@@ -87,11 +87,11 @@ class Joint:
 
     def surrogate(self, material: Material) -> Array | None:
         """Return values of a random walk's noise-free surrogate; None without one."""
-        found = [part.surrogate(material) for part in self.parts]
+        values = [part.surrogate(material) for part in self.parts]
         return (
             None
-            if any(each is None for each in found)
-            else np.concatenate([np.ravel(each) for each in found if each is not None])
+            if any(each is None for each in values)
+            else np.concatenate([np.ravel(each) for each in values if each is not None])
         )
 
     def noise_scale(self, weights: str) -> Array:
@@ -191,10 +191,10 @@ class ColourData:
         if is_direct(model) or any(geometry.kind != "aspecular" for geometry in self.geometries):
             return None
         grid = np.asarray(model.wavelengths_nm)
-        found = surrogate_radiance(model, *aspecular_pairs(self.geometries), grid, True)
-        if found is None:
+        radiance = surrogate_radiance(model, *aspecular_pairs(self.geometries), grid, True)
+        if radiance is None:
             return None
-        xyz = spectrum_to_xyz(np.pi * (found[0] + found[1]), grid, *self.light)
+        xyz = spectrum_to_xyz(np.pi * (radiance[0] + radiance[1]), grid, *self.light)
         return np.asarray(xyz_to_lab(xyz, white_xyz(*self.light)))
 
     def noise_scale(self, weights: str) -> Array:
@@ -235,7 +235,7 @@ class OrdersData:
         model, lam, angles = material.model, self.wavelengths_nm, np.unique(self.cases[:, 1])
         if not isinstance(model, Diffracting):
             raise UnsupportedError(f"{self.name}: a {model.traits.noun} has no diffraction orders; allowed: a grating")
-        found = np.zeros(len(self.values))
+        efficiencies = np.zeros(len(self.values))
         for azimuth in np.unique(self.cases[:, 2]):
             solved = model.diffraction_orders(np.radians(angles), float(np.radians(azimuth)), lam)
             place = {(int(m), int(n)): k for k, (m, n) in enumerate(solved.numbers)}
@@ -244,8 +244,8 @@ class OrdersData:
                 if order is not None:
                     side, weights = EFFICIENCIES[self.columns[row]]
                     at = np.searchsorted(angles, self.cases[row, 1]), np.searchsorted(lam, self.cases[row, 0]), order
-                    found[row] = np.nan_to_num(getattr(solved, side)[at]) @ weights
-        return found
+                    efficiencies[row] = np.nan_to_num(getattr(solved, side)[at]) @ weights
+        return efficiencies
 
     def surrogate(self, material: Material) -> Array | None:
         """Return None: orders are free of noise."""
@@ -270,15 +270,15 @@ class OrdersData:
         return tuple((label, self.cases[at, 0], self.values[at], fitted[at]) for label, at in groups.items())
 
 
-def orders_measurement(path: Path, found: Measurement, range_nm: tuple[float, float] | None) -> OrdersData:
+def orders_measurement(path: Path, measurement: Measurement, range_nm: tuple[float, float] | None) -> OrdersData:
     """Return efficiencies of a table as `nacre orders` writes it; the column `azimuth_deg` may be absent.
 
     Raises:
         NacreError: an unknown column, no efficiency, or one that is impossible.
     """
-    data = dict(found.data)
+    data = dict(measurement.data)
     keys = ("wavelength_nm", "angle_deg", "azimuth_deg", "m", "n")
-    unknown = [name for name in (*data, *found.metadata) if name not in (*keys, *EFFICIENCIES, "table")]
+    unknown = [name for name in (*data, *measurement.metadata) if name not in (*keys, *EFFICIENCIES, "table")]
     if unknown:
         raise NacreError(f"{path}: column {unknown[0]} is not known; allowed: {', '.join((*keys, *EFFICIENCIES))}")
     first = data["wavelength_nm"]
@@ -297,7 +297,7 @@ def orders_measurement(path: Path, found: Measurement, range_nm: tuple[float, fl
     at = cases[[k for _, k in rows]]
     if np.any(at[:, 0] <= 0) or np.any((at[:, 1] < 0) | (at[:, 1] >= 90)):
         raise NacreError(f"{path}: wavelength_nm must be positive and angle_deg in [0, 90)")
-    return OrdersData(tuple(name for name, _ in rows), at, values, str(path), found.left_out)
+    return OrdersData(tuple(name for name, _ in rows), at, values, str(path), measurement.left_out)
 
 
 def stated_colours(stated: Mapping[str, Sequence[float]]) -> ColourData:
@@ -424,17 +424,17 @@ def texture_measurement(path: Path, instrument: Any = None) -> TextureData | Non
         cells.pop(0)
     if not any(_TEXTURE.fullmatch(row[0]) for _, row in cells):
         return None
-    found: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for number, row in cells:
         where = f"{path}: line {number}"
         if not _TEXTURE.fullmatch(row[0]):
             raise RecipeError(f"{where}: {show_value(row[0])} is not a texture quantity; put colours into another file")
-        if row[0] in found:
+        if row[0] in numbers:
             raise RecipeError(f"{where}: {row[0]} stands twice")
         try:
             (text,) = row[1:]
-            found[row[0]] = float(text)
+            numbers[row[0]] = float(text)
         except ValueError:
-            said = show_value(", ".join(row))
-            raise RecipeError(f"{where}: {said} should be a quantity and a number, such as sparkle_45, 1.2") from None
-    return stated_texture(found, instrument, str(path))
+            line = show_value(", ".join(row))
+            raise RecipeError(f"{where}: {line} should be a quantity and a number, such as sparkle_45, 1.2") from None
+    return stated_texture(numbers, instrument, str(path))

@@ -170,11 +170,11 @@ def _ribbon(fit: Fit, measured: Measured) -> tuple[Array, Array, str]:
     assert measured.angles_deg is not None
     if fit.material.model.traits.is_quick:
         try:
-            found = fit.material.spectrum(np.radians(RIBBON_DEG), nm, polarisation).parts().get(name)
+            spectra = fit.material.spectrum(np.radians(RIBBON_DEG), nm, polarisation).parts().get(name)
         except NacreError:  # an angle outside the family's range
-            found = None
-        if found is not None:
-            return RIBBON_DEG, found, label
+            spectra = None
+        if spectra is not None:
+            return RIBBON_DEG, spectra, label
     values = measured.values[0] + fit.residual[0]
     angles = measured.angles_deg
     if len(angles) == 1:  # a ribbon has a width

@@ -40,26 +40,26 @@ def figures(materials: list[Material], reports: list[Report]) -> dict[str, str]:
     """
     from nacre.plot import ribbon_figure, spectrum_figure
 
-    found: dict[str, str] = {}
+    images: dict[str, str] = {}
     for number, (material, report) in enumerate(zip(materials, reports, strict=True)):
         # captions are keys, so recipes of the same name are numbered
         name = report.name if [r.name for r in reports].count(report.name) == 1 else f"{report.name} ({number + 1})"
         curves = _spectrum(material, CURVE_ANGLES_DEG, report.illuminant)
         if curves is None:
             continue
-        found[f"{name}: spectra at {', '.join(f'{a:g}' for a in CURVE_ANGLES_DEG)} degrees"] = data_uri(
+        images[f"{name}: spectra at {', '.join(f'{a:g}' for a in CURVE_ANGLES_DEG)} degrees"] = data_uri(
             spectrum_figure(curves, report.illuminant, name), SCREEN_DPI
         )
         is_plain = "diffuse_reflectance" not in curves.parts()
         over_angle = _spectrum(material, RIBBON_ANGLES_DEG if is_plain else COARSE_ANGLES_DEG, report.illuminant)
         if over_angle is not None:
-            found[f"{name}: colour over the angle of incidence"] = data_uri(
+            images[f"{name}: colour over the angle of incidence"] = data_uri(
                 ribbon_figure(over_angle, report.illuminant, name), SCREEN_DPI
             )
-    found["colour travel in a*b* over the aspecular angles (or over incidence, for mirrors)"] = data_uri(
+    images["colour travel in a*b* over the aspecular angles (or over incidence, for mirrors)"] = data_uri(
         travel_figure(reports), SCREEN_DPI
     )
-    return found
+    return images
 
 
 def travel_figure(reports: list[Report]) -> Figure:
@@ -95,13 +95,13 @@ def report_json(reports: list[Report], comparisons: Sequence[Comparison] = ()) -
         key = "differences_to_standard" if comparisons[0].standard else "differences_to_first"
         document[key] = [
             {
-                "name": found.name,
-                "formula": found.formula,
-                **({"geometries": list(found.labels["standard"])} if found.standard else {}),
-                **{name: _clean(values.tolist()) for name, values in found.tables.items()},
-                "passes": found.passes,
+                "name": comparison.name,
+                "formula": comparison.formula,
+                **({"geometries": list(comparison.labels["standard"])} if comparison.standard else {}),
+                **{name: _clean(values.tolist()) for name, values in comparison.tables.items()},
+                "passes": comparison.passes,
             }
-            for found in comparisons
+            for comparison in comparisons
         ]
     return document
 
@@ -175,23 +175,23 @@ def report_text(reports: list[Report], comparisons: Sequence[Comparison] = ()) -
                 lines.append("    L* above 100: brighter than a perfect white diffuser at that angle")
             lines += [f"    travel in a*b*: {table.travel:.1f}", ""]
         lines += [f"  {name:34s} {value}" for name, value in report_numbers(report)] + [""]
-    for found in comparisons:
-        lines.append(f"{found.formula} of {found.name} to {found.standard or reports[0].name}")
-        for name, values in found.tables.items():
-            row = "  ".join(f"{label}: {v:.2f}" for label, v in zip(found.labels[name], values, strict=True))
+    for comparison in comparisons:
+        lines.append(f"{comparison.formula} of {comparison.name} to {comparison.standard or reports[0].name}")
+        for name, values in comparison.tables.items():
+            row = "  ".join(f"{label}: {v:.2f}" for label, v in zip(comparison.labels[name], values, strict=True))
             lines.append(f"  {name:10s} {row}")
-            if found.formula == DIN_6175:
+            if comparison.formula == DIN_6175:
                 lines.append(f"  {'':10s} mean {np.mean(values):.2f}, largest {np.max(values):.2f}")
-        lines += [f"  {line}" for line in _verdict(found)]
+        lines += [f"  {line}" for line in _verdict(comparison)]
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _verdict(found: Comparison) -> list[str]:
+def _verdict(comparison: Comparison) -> list[str]:
     """Return whether a sample passes, and the geometries at which it fails."""
-    failed = [label for label, is_within in found.passes.items() if not is_within]
-    if not found.passes:
+    failed = [label for label, is_within in comparison.passes.items() if not is_within]
+    if not comparison.passes:
         return []
-    return [f"fail at {', '.join(failed)}" if failed else f"pass at all {len(found.passes)} geometries"]
+    return [f"fail at {', '.join(failed)}" if failed else f"pass at all {len(comparison.passes)} geometries"]
 
 
 def report_numbers(report: Report) -> list[tuple[str, str]]:
@@ -237,7 +237,7 @@ def report_html(
         title=" and ".join(report.name for report in reports),
         first=first,
         sections=[(report, list(report.tables.values()), report_numbers(report)) for report in reports],
-        comparisons=[(found, _verdict(found)) for found in comparisons],
+        comparisons=[(comparison, _verdict(comparison)) for comparison in comparisons],
         figures=figures or {},
     )
 

@@ -362,10 +362,10 @@ def _import_film(source: Path, recipe: Path, name: str | None = None) -> list[st
         "layers": [{"material": {"n": film.film_ior}, "thickness_nm": film.thickness_nm}],
         "surface": {"distribution": "ggx", "roughness": film.roughness},
     }  # fmt: skip
-    bare = coated | {"layers": []}
+    uncoated = coated | {"layers": []}
     textured = coated | {"layers": [{"material": {"n": film.film_ior}, "thickness_nm": thickness}]}
-    data = textured if film.weight == 1.0 else bare if film.weight == 0.0 else {
-        "family": "blend", "mask": film.weight, "first": textured, "second": bare,
+    data = textured if film.weight == 1.0 else uncoated if film.weight == 0.0 else {
+        "family": "blend", "mask": film.weight, "first": textured, "second": uncoated,
     }  # fmt: skip
     try:
         material_from_data(coated, RecipeContext("film"))
@@ -398,11 +398,11 @@ def _import_bsdf(source: Path, options: ReadOptions, law: str | None) -> tuple[T
     measured = entry.read(source, options)
     table = next((m for m in measured if m.metadata.get("scatter") != "btdf"), measured[0])
     data, remarks = measured_lobes.gonio_data(table)
-    lobe, said = measured_lobes.measured_table(data, str(source), law)
+    lobe, law_remarks = measured_lobes.measured_table(data, str(source), law)
     lobe, more = measured_lobes.with_spectra(lobe, table)
     left = [f"{m.metadata.get('scatter', 'part')} {m.name}: not imported" for m in measured if m is not table]
     remarks = [line for line in remarks if not line.endswith("are kept")]  # `said` states their treatment
-    return lobe, [*remarks, *said, *more, *left]
+    return lobe, [*remarks, *law_remarks, *more, *left]
 
 
 def _on_own_nodes(source: Path, form: str) -> tuple[TableLobe, list[str]]:
@@ -422,8 +422,8 @@ def _on_own_nodes(source: Path, form: str) -> tuple[TableLobe, list[str]]:
         if first > 0:
             remarks.append(f"incidences below {first:g} degrees were not measured; the nearest values are held")
         if zemax.rotated is not None:
-            kept = lobe.nodes_turn is not None
-            what = "differ: the sample is anisotropic" if kept else "agree and were averaged"
+            has_nodes = lobe.nodes_turn is not None
+            what = "differ: the sample is anisotropic" if has_nodes else "agree and were averaged"
             remarks.append(f"{len(zemax.rotation_deg)} sample rotations {what}")
         return lobe, remarks
     rgl = databases.RglBsdf.read(source)
@@ -533,7 +533,7 @@ def even_pictures(table: lut.LightTable) -> tuple[dict[str, lut.Picture], tuple[
                 _added(old, _even(table, closure, side, rows))
                 for old, side in zip(sums.get(name, [None, None]), (closure.front, closure.behind), strict=True)
             ]
-    found = {"gloss": lut.Picture(np.stack(gloss), "gloss under uniform light", rows=rows)} if gloss else {}
+    pictures = {"gloss": lut.Picture(np.stack(gloss), "gloss under uniform light", rows=rows)} if gloss else {}
     for name, (front, behind) in sums.items():
         bands = [part for part in (front, behind) if part is not None]
         if not bands or max(float(band.max()) for band in bands) <= 0.0:
@@ -542,8 +542,8 @@ def even_pictures(table: lut.LightTable) -> tuple[dict[str, lut.Picture], tuple[
             bands.insert(0, np.zeros_like(bands[0]))
         count = max(len(band) for band in bands)
         values = np.stack([np.broadcast_to(band, (count, *band.shape[1:])) for band in bands])
-        found[name] = lut.Picture(values, f"{name} under uniform light", rows=rows)
-    return found, tuple(alphas)
+        pictures[name] = lut.Picture(values, f"{name} under uniform light", rows=rows)
+    return pictures, tuple(alphas)
 
 
 def _added(old: Array | None, new: Array | None) -> Array | None:

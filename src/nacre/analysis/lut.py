@@ -116,8 +116,8 @@ def sides(response: InterfaceResponse, cos: Array, is_behind: bool) -> tuple[Arr
     inside = np.full(cos.shape, is_behind != response.flipped)
     count = len(response.parameters)
     nodes = np.ndindex(response.reflectance.shape[:count])
-    found = [at_node(response, node).lookup(cos, inside) for node in nodes]
-    return np.stack([reflected for reflected, _ in found]), np.stack([passed for _, passed in found])
+    looked_up = [at_node(response, node).lookup(cos, inside) for node in nodes]
+    return np.stack([reflected for reflected, _ in looked_up]), np.stack([passed for _, passed in looked_up])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -162,7 +162,7 @@ def rough_view(lobe: Microfacet, is_behind: bool) -> ViewColours:
     between = between_facets(lobe, is_behind)
 
     def column(turns: Array) -> tuple[Array, Array]:
-        found: tuple[list[Array], list[Array]] = ([], [])
+        fitted: tuple[list[Array], list[Array]] = ([], [])
         for theta in np.minimum(column_angles(ROUGH_COLUMNS), STEEPEST):
             weights, white = np.zeros((2, FINE)), np.zeros(2)
             extra = np.zeros((2, 1, 3))
@@ -172,13 +172,13 @@ def rough_view(lobe: Microfacet, is_behind: bool) -> ViewColours:
                 extra = extra + between(w)
             for side, table in enumerate(tables):
                 total = np.einsum("f,rfc->rc", weights[side], table) + extra[side]
-                is_seen = white[side] > LEAST_SEEN * len(turns) or not found[side]
-                found[side].append(total / max(white[side], 1e-9) if is_seen else found[side][-1])
-        return np.stack(found[0], axis=1), np.stack(found[1], axis=1)
+                is_seen = white[side] > LEAST_SEEN * len(turns) or not fitted[side]
+                fitted[side].append(total / max(white[side], 1e-9) if is_seen else fitted[side][-1])
+        return np.stack(fitted[0], axis=1), np.stack(fitted[1], axis=1)
 
     if not over_azimuth(lobe):
-        found = column(azimuths((lobe.alpha_x, lobe.alpha_y)))
-        return ViewColours(*(np.maximum(part, 0.0) for part in found))
+        fitted = column(azimuths((lobe.alpha_x, lobe.alpha_y)))
+        return ViewColours(*(np.maximum(part, 0.0) for part in fitted))
     rows = [column(np.array([turn])) for turn in np.arccos(np.sqrt(np.linspace(0.0, 1.0, AZIMUTH_ROWS)))]
     return ViewColours(*(np.maximum(np.concatenate([row[side] for row in rows]), 0.0) for side in (0, 1)))
 
@@ -206,13 +206,13 @@ def _shares(w: Array, lobe: Microfacet, facets: tuple[Array, Array], eta: float)
     w_m = m @ w
     m, measure, w_m = m[w_m > 0], measure[w_m > 0], w_m[w_m > 0]
     ways: Array = np.broadcast_to(w, m.shape)
-    found = np.zeros((2, FINE))
+    weights = np.zeros((2, FINE))
     low = np.minimum((w_m * (FINE - 1)).astype(int), FINE - 2)
     part = w_m * (FINE - 1) - low
     for side, wo in enumerate(exits(w, m, eta)):
         weight = measure * w_m / w[2] * masking(lobe.distribution, ways, wo, m, lobe.alpha_x, lobe.alpha_y)
-        found[side] += np.bincount(low, weight * (1 - part), FINE) + np.bincount(low + 1, weight * part, FINE)
-    return found
+        weights[side] += np.bincount(low, weight * (1 - part), FINE) + np.bincount(low + 1, weight * part, FINE)
+    return weights
 
 
 class ClosureLoss:
@@ -232,15 +232,15 @@ class ClosureLoss:
         w_m = m @ w
         m, measure, w_m = m[w_m > 0], measure[w_m > 0], w_m[w_m > 0]
         ways = np.broadcast_to(w, m.shape)
-        found = []
+        shares = []
         for wo in exits(w, m, self.eta):
             if self.distribution == "ashikhmin-shirley":
-                seen = masking(self.distribution, ways, wo, m, *self.alpha)
+                visible = masking(self.distribution, ways, wo, m, *self.alpha)
             else:
                 is_seen = (np.sum(wo * m, axis=-1) * wo[:, 2] > 0) & (np.abs(wo[:, 2]) > 1e-9)
-                seen = np.where(is_seen, 1.0 / (1.0 + self._smith(ways) + self._smith(wo)), 0.0)
-            found.append(float(np.sum(measure * w_m / w[2] * seen)))
-        return np.array(found)
+                visible = np.where(is_seen, 1.0 / (1.0 + self._smith(ways) + self._smith(wo)), 0.0)
+            shares.append(float(np.sum(measure * w_m / w[2] * visible)))
+        return np.array(shares)
 
     def _smith(self, w: Array) -> Array:
         """Return Lambda; Beckmann's by the rational fit of Walter et al. 2007."""
@@ -312,19 +312,19 @@ def _mirrors(bsdf: Bsdf, steady: Bsdf | None, powers: Array, to_rgb: ToRgb) -> l
         return fit_lobes(
             lambda wi, wo: np.maximum(to_rgb(steady.evaluate(wi, wo)), 0.0), theta, np.maximum(to_rgb(powers), 0.0)
         )
-    found = find_gloss(bsdf, theta, powers)
-    if found is None:
+    glossy = find_gloss(bsdf, theta, powers)
+    if glossy is None:
         return []
-    closure = ClosureLoss("ggx", (found.alpha, found.alpha))
-    kept = np.array([closure.kept(direction(t, 0.0))[0] for t in theta])
-    return [Gloss(found.alpha, to_rgb(found.reflectance) / np.maximum(kept, 0.05)[:, None])]
+    closure = ClosureLoss("ggx", (glossy.alpha, glossy.alpha))
+    returned = np.array([closure.kept(direction(t, 0.0))[0] for t in theta])
+    return [Gloss(glossy.alpha, to_rgb(glossy.reflectance) / np.maximum(returned, 0.05)[:, None])]
 
 
 def _powers(bsdf: Bsdf, directions: Array) -> Array:
     """Return the power `[side, angle, wavelength]` on the light's side and on the other side."""
-    found = [[hemispherical(lobe, w, nodes=PATHS if lobe.is_stochastic else NODES) for lobe in bsdf.lobes]
+    powers = [[hemispherical(lobe, w, nodes=PATHS if lobe.is_stochastic else NODES) for lobe in bsdf.lobes]
              for w in directions]  # fmt: skip
-    return np.array([[sum(part[side] for part in parts) for parts in found] for side in (0, 1)])
+    return np.array([[sum(part[side] for part in parts) for parts in powers] for side in (0, 1)])
 
 
 def make_scatter(material: Any, bsdf: Bsdf, to_rgb: ToRgb, progress: Progress) -> Scatter:
@@ -340,8 +340,8 @@ def make_scatter(material: Any, bsdf: Bsdf, to_rgb: ToRgb, progress: Progress) -
     spread, glossy = to_rgb(powers[0]), []
     for gloss in _mirrors(bsdf, steady, powers[0], to_rgb):
         closure = ClosureLoss("ggx", (gloss.alpha, gloss.alpha))
-        kept = np.array([closure.kept(direction(t, 0.0))[0] for t in np.radians(VIEW_DEG)])
-        spread = spread - gloss.reflectance * kept[:, None]
+        returned = np.array([closure.kept(direction(t, 0.0))[0] for t in np.radians(VIEW_DEG)])
+        spread = spread - gloss.reflectance * returned[:, None]
         glossy.append((gloss.alpha, _smooth(gloss.reflectance)))
     sides: tuple[Array | None, Array | None] = (None, None)
     if bsdf.transmits:
@@ -373,14 +373,14 @@ def _lobe(steady: Bsdf | None, transmits: bool, to_rgb: ToRgb) -> tuple[Picture 
 def _noiseless(material: Any, bsdf: Bsdf) -> Bsdf | None:
     """Return the noise-free form of a random walk, if its recipe has an isotropic one."""
     try:
-        found: Bsdf = material.vary({"quality": "fast"}).bsdf(bsdf.wavelengths_nm)
+        fast: Bsdf = material.vary({"quality": "fast"}).bsdf(bsdf.wavelengths_nm)
     except NacreError:
         return None
-    lobes = tuple(lobe for lobe in found.lobes if not lobe.is_delta)
+    lobes = tuple(lobe for lobe in fast.lobes if not lobe.is_delta)
     if not lobes or any(lobe.is_stochastic for lobe in lobes):
         return None
-    kept = Bsdf(lobes, found.provenance)
-    return kept if is_isotropic(kept) else None
+    remaining = Bsdf(lobes, fast.provenance)
+    return remaining if is_isotropic(remaining) else None
 
 
 def _evaluated(bsdf: Bsdf, wi: Array, wo: Array, to_rgb: ToRgb) -> Array:
@@ -403,8 +403,8 @@ def lobe_pairs(count: int, seed: int, lowest: float = 0.1) -> tuple[Array, Array
     turn = np.cos(phi)[:, None] * direction(theta_h - np.pi / 2, 0.0) + np.sin(phi)[:, None] * np.array([0.0, 1.0, 0.0])
     out, across = np.cos(theta_d)[:, None] * half, np.sin(theta_d)[:, None] * turn
     wi, wo = out + across, out - across
-    kept = (wi[:, 2] > lowest) & (wo[:, 2] > lowest)
-    return wi[kept][:count], wo[kept][:count]
+    is_above = (wi[:, 2] > lowest) & (wo[:, 2] > lowest)
+    return wi[is_above][:count], wo[is_above][:count]
 
 
 # The complete table of a material, and its comparison with nacre
@@ -471,11 +471,11 @@ def _baked(material: Material, bsdf: Bsdf, light: Illuminant, progress: Progress
         facets = _bake_interface(interfaces, mirror, to_rgb, pictures, closures, errors)
     scattering = tuple(lobe for lobe in bsdf.lobes if not lobe.is_delta and not isinstance(lobe, Microfacet))
     if scattering:
-        alone = Bsdf(scattering, bsdf.provenance)
-        scatter = make_scatter(material, alone, to_rgb, progress)
+        scattered = Bsdf(scattering, bsdf.provenance)
+        scatter = make_scatter(material, scattered, to_rgb, progress)
         _add_scatter(scatter, pictures, closures)
         progress("comparing with nacre")
-        errors |= _scatter_errors(alone, scatter, to_rgb)
+        errors |= _scatter_errors(scattered, scatter, to_rgb)
         lost += scatter.lost
     provenance = {"nacre": __version__, "recipe": material.text, "illuminant": light.name, "observer": "2deg"}
     return LightTable(
@@ -543,8 +543,8 @@ def _refuse(bsdf: Bsdf) -> None:
 
 def _walk_mirror(bsdf: Bsdf) -> Array | None:
     """Return the specular reflectance `[column, wavelength]` of a random walk or table, or None."""
-    found = bsdf.specular(np.minimum(column_angles(COLUMNS), np.radians(89.99)))
-    return found.reflectance if found.reflectance.max() > MIN_REFLECTANCE else None
+    reflectance = bsdf.specular(np.minimum(column_angles(COLUMNS), np.radians(89.99)))
+    return reflectance.reflectance if reflectance.reflectance.max() > MIN_REFLECTANCE else None
 
 
 def map_over_uv(axis: ParameterAxis) -> Array:
@@ -587,10 +587,10 @@ def _bake_interface(
         _add_loss(rough, pictures)
     names: dict[str, list[str | None]] = {"mirror": [], "through": []}
     for is_behind in (False, True) if response.transmits else (False,):
-        seen = within if is_behind else response
-        facet = rough and (dataclasses.replace(rough, response=seen) if is_behind and is_body else rough)
-        views = rough_view(facet, is_behind) if facet else smooth_view(seen, is_behind)
-        passed = views.passed if bends or rough is None else smooth_view(seen, is_behind).passed
+        interface = within if is_behind else response
+        facet = rough and (dataclasses.replace(rough, response=interface) if is_behind and is_body else rough)
+        views = rough_view(facet, is_behind) if facet else smooth_view(interface, is_behind)
+        passed = views.passed if bends or rough is None else smooth_view(interface, is_behind).passed
         for name, values, what in (("mirror", views.reflected, "reflects"), ("through", passed, "passes")):
             title = name + ("-behind" if is_behind else "")
             if values.max() <= MIN_REFLECTANCE:
@@ -653,26 +653,26 @@ def _interface_errors(
     theta = np.radians(generator.uniform(0.0, STEEPEST_CHECKED_DEG, CHECKED))
     rows = generator.integers(0, max(pictures["facet"].values.shape[1], 1), CHECKED)
     last = max(pictures["facet"].values.shape[1] - 1, 1)
-    found = {}
+    errors = {}
     reflected, _ = sides(response, np.cos(theta), response.flipped)
     wanted = reflected[rows, np.arange(CHECKED)]
     at = (lut.angle_coordinate(np.cos(theta)), rows / last)
-    found["reflectance of a facet"] = compared(pictures["facet"], lambda p: p.at(*at), wanted)
+    errors["reflectance of a facet"] = compared(pictures["facet"], lambda p: p.at(*at), wanted)
     if rough is None:
-        return found
+        return errors
     alpha = (rough.alpha_x, rough.alpha_y)
     closure = ClosureLoss(closure_distribution(rough.distribution), alpha, inner_index(response, False))
     turns = generator.uniform(0.0, np.pi / 2, CHECKED)
-    sent, kept = np.zeros((CHECKED, 3)), np.zeros(CHECKED)
+    sent, returned = np.zeros((CHECKED, 3)), np.zeros(CHECKED)
     for i, (t, turn) in enumerate(zip(theta, turns, strict=True)):
         w = direction(t, turn if len(azimuths(alpha)) > 1 else 0.0)
         sent[i] = _node(rough, int(rows[i])).hemispherical(w)[0]
-        kept[i] = closure.kept(w)[0]
+        returned[i] = closure.kept(w)[0]
     height = np.cos(turns) ** 2 if over_azimuth(rough) else at[1]
-    found["under even light, by angle of view"] = compared(
-        pictures["mirror"], lambda p: p.at(at[0], height) * kept[:, None], sent
+    errors["under even light, by angle of view"] = compared(
+        pictures["mirror"], lambda p: p.at(at[0], height) * returned[:, None], sent
     )
-    return found
+    return errors
 
 
 def _node(lobe: Microfacet, row: int) -> Microfacet:
@@ -714,31 +714,31 @@ def _scatter_errors(bsdf: Bsdf, scatter: Scatter, to_rgb: Callable[[Array], Arra
     x = lut.angle_coordinate(np.cos(theta))
 
     def glossy(alpha: float, colours: Array) -> Array:
-        kept = np.array([ClosureLoss("ggx", (alpha, alpha)).kept(w)[0] for w in direction(theta, 0.0)])
-        return np.asarray(view_picture(colours).at(x, 0.0 * x) * kept[:, None])
+        returned = np.array([ClosureLoss("ggx", (alpha, alpha)).kept(w)[0] for w in direction(theta, 0.0)])
+        return np.asarray(view_picture(colours).at(x, 0.0 * x) * returned[:, None])
 
-    def even(held: Picture) -> Array:
-        return np.asarray(sum((glossy(*part) for part in scatter.gloss), held.at(x, 0.0 * x)))
+    def even(picture: Picture) -> Array:
+        return np.asarray(sum((glossy(*part) for part in scatter.gloss), picture.at(x, 0.0 * x)))
 
     title = "scattered light under even light, by angle of view"
-    found = {title: compared(view_picture(scatter.spread), even, to_rgb(np.array(back)))}
+    errors = {title: compared(view_picture(scatter.spread), even, to_rgb(np.array(back)))}
     if scatter.lobe is not None:
         lowest = float(np.cos(np.radians(STEEPEST_CHECKED_DEG)))
         wi, wo = lobe_pairs(CHECKED_PAIRS, 1, lowest)
         values, _ = evaluate_with_error(bsdf, wi, wo, samples=CHECKED_WALKS, seed=1)
         wanted = np.pi * wi[:, 2:] * to_rgb(np.nan_to_num(values))
-        found["scattered light, lit from one direction"] = compared(
+        errors["scattered light, lit from one direction"] = compared(
             scatter.lobe, lambda p: np.pi * wi[:, 2:] * lut.lobe_value(p, wi, wo), wanted
         )
-    return found
+    return errors
 
 
 def compared(picture: Picture, look_up: Callable[[Picture], Array], wanted: Array) -> dict[str, float]:
     """Return mean and largest dE00 of the colours in the EXR and in the PNG."""
     lab = _lab(wanted)
     errors: dict[str, float] = {}
-    for ending, held in (("", picture), ("_png", lut.as_png(picture))):
-        difference = np.asarray(delta_e_2000(_lab(look_up(held)), lab))
+    for ending, stored in (("", picture), ("_png", lut.as_png(picture))):
+        difference = np.asarray(delta_e_2000(_lab(look_up(stored)), lab))
         errors |= {f"mean{ending}": float(difference.mean()), f"max{ending}": float(difference.max())}
     return errors
 

@@ -87,10 +87,10 @@ class Measured:
             assert self.angles_deg is not None
             spectra: dict[str, Spectrum] = {}
             for polarisation in self._polarisations():
-                found = near.spectrum(np.radians(self.angles_deg), self.wavelengths_nm, polarisation)
-                if found is None:
+                spectrum = near.spectrum(np.radians(self.angles_deg), self.wavelengths_nm, polarisation)
+                if spectrum is None:
                     return None
-                spectra[polarisation] = found
+                spectra[polarisation] = spectrum
             return self._stacked(spectra)
         assert self.gonio is not None
         assert isinstance(near, DirectEvaluation)
@@ -104,9 +104,9 @@ class Measured:
         stacked = []
         for name in self.parts:
             part, polarisation = POLARISED.get(name, (name, UNPOLARISED))
-            found, quantity = spectra[polarisation].parts(), part.removeprefix("total_")
+            parts, quantity = spectra[polarisation].parts(), part.removeprefix("total_")
             names = (f"specular_{quantity}", f"diffuse_{quantity}") if part in TOTALS else (part,)
-            stacked.append(sum((found.get(each, zero) for each in names), zero))
+            stacked.append(sum((parts.get(each, zero) for each in names), zero))
         return np.stack(stacked)
 
     def noise_scale(self, weights: str) -> Array:
@@ -134,24 +134,24 @@ class _Series:
     errors: Array | None
 
 
-def gonio_measurement(path: Path, found: Measurement) -> Measured:
+def gonio_measurement(path: Path, measurement: Measurement) -> Measured:
     """Return BSDF values; direction pairs with a missing value are left out.
 
     Raises:
         NacreError: no pair has all values.
     """
-    data, said = gonio_data(found)
+    data, remarks = gonio_data(measurement)
     keep = np.isfinite(data.values).all(axis=1)
     if not keep.any():
         raise NacreError(f"{path}: no pair of directions has values at all wavelengths")
     if not keep.all():
-        said = [*said, f"{int((~keep).sum())} pairs of directions with missing values are left out"]
+        remarks = [*remarks, f"{int((~keep).sum())} pairs of directions with missing values are left out"]
         data = GonioData(data.angles_deg[keep], data.wavelengths_nm, data.values[keep])
-    return Measured("gonio", data.wavelengths_nm, data.values, gonio=data, name=str(path), remarks=tuple(said))
+    return Measured("gonio", data.wavelengths_nm, data.values, gonio=data, name=str(path), remarks=tuple(remarks))
 
 
 def spectrum_measurement(
-    path: Path, found: Sequence[Measurement], options: ReadOptions, range_nm: tuple[float, float] | None = None
+    path: Path, files: Sequence[Measurement], options: ReadOptions, range_nm: tuple[float, float] | None = None
 ) -> Measured:
     """Return the spectra of one sample over angle and wavelength.
 
@@ -165,22 +165,22 @@ def spectrum_measurement(
         AmbiguousFileError: the headings do not state the quantity, or there are several spectra.
         NacreError: no reflectance or transmittance, holes, or impossible values.
     """
-    if options.quantity is None and any(said.startswith("no heading") for each in found for said in each.assumed):
+    if options.quantity is None and any(note.startswith("no heading") for each in files for note in each.assumed):
         raise AmbiguousFileError(
             f"{path}: the columns lack headings; write some, such as wavelength_nm,specular_reflectance, or "
             'state quantity = "reflectance" (or transmittance)',
             "quantity",
             ("reflectance", "transmittance"),
         )
-    spectra = [each for each in found if each.kind == "spectrum"]
+    spectra = [each for each in files if each.kind == "spectrum"]
     spectra = _chosen(path, spectra, options)
     remarks: list[str] = []
     series = [one for each in spectra for one in _series(each, options, range_nm, remarks)]
     if not series:
-        held = sorted({name for each in found for name in each.data})
+        quantities = sorted({name for each in files for name in each.data})
         raise NacreError(
             f"{path}: is neither a gonio CSV ({', '.join(COLUMNS)}) nor a spectrum (wavelength_nm, angle_deg, and one "
-            f"of {', '.join(PARTS)}); it holds {', '.join(held)[:100]}"
+            f"of {', '.join(PARTS)}); it holds {', '.join(quantities)[:100]}"
         )
     for each in spectra:
         remarks += [*each.assumed, *each.left_out]
@@ -204,29 +204,29 @@ def _chosen(path: Path, spectra: list[Measurement], options: ReadOptions) -> lis
 
 
 def _series(
-    found: Measurement, options: ReadOptions, range_nm: tuple[float, float] | None, remarks: list[str]
+    table: Measurement, options: ReadOptions, range_nm: tuple[float, float] | None, remarks: list[str]
 ) -> list[_Series]:
-    nm = np.asarray(found.data["wavelength_nm"], dtype=float)
-    angle = found.data.get("angle_of_incidence_deg")
-    stated = found.metadata.get("angle_of_incidence_deg", options.angle_deg)
+    nm = np.asarray(table.data["wavelength_nm"], dtype=float)
+    angle = table.data.get("angle_of_incidence_deg")
+    stated = table.metadata.get("angle_of_incidence_deg", options.angle_deg)
     if angle is None:
         if stated is None:
             remarks.append("no angle is stated: normal incidence is assumed")
         angle = np.full(len(nm), 0.0 if stated is None else float(stated))
-    rows = found.metadata.get("polarisations")
-    one = str(found.metadata.get("polarisation", ""))
+    rows = table.metadata.get("polarisations")
+    one = str(table.metadata.get("polarisation", ""))
     if rows is None and not one and np.any(np.abs(angle) > 1e-9):
         remarks.append("no polarisation is stated: unpolarised light is assumed")
     polarisations = np.array(rows if rows is not None else [one or "unpolarised"] * len(nm))
-    mode = _mode(str(found.metadata.get("mode", "")))
+    mode = _mode(str(table.metadata.get("mode", "")))
     series = []
     for quantity in ("reflectance", "transmittance"):
-        if quantity not in found.data:
+        if quantity not in table.data:
             continue
         if not mode:
             remarks.append(f"{quantity} is taken as specular")
-        values = np.asarray(found.data[quantity], dtype=float)
-        errors = found.data.get(f"{quantity}_error")
+        values = np.asarray(table.data[quantity], dtype=float)
+        errors = table.data.get(f"{quantity}_error")
         for polarisation in dict.fromkeys(polarisations.tolist()):
             keep = (polarisations == polarisation) & ~np.isnan(values)
             if range_nm is not None:
@@ -240,7 +240,7 @@ def _series(
                     None if errors is None else np.asarray(errors, dtype=float)[keep],
                 )
             )
-    unused = [name for name in found.data if name in ("absorptance", "absorbance", "albedo") or name.endswith("counts")]
+    unused = [name for name in table.data if name in ("absorptance", "absorbance", "albedo") or name.endswith("counts")]
     remarks += [f"{name} is not used" for name in unused if series]
     return series
 
@@ -281,10 +281,10 @@ def _on_grid(
             errors[place] = one.errors
     if count.max() > 1:
         raise NacreError(f"{path}: a wavelength is given twice at an angle; keep one row of each")
-    kept = _without_noise(waves, values)
-    if not kept.all():
+    even = _without_noise(waves, values)
+    if not even.all():
         remarks = (*remarks, f"noise beyond {VISIBLE_NM[0]:g}-{VISIBLE_NM[1]:g} nm is left out")
-        waves, values, errors = waves[kept], values[..., kept], None if errors is None else errors[..., kept]
+        waves, values, errors = waves[even], values[..., even], None if errors is None else errors[..., even]
     _check_spectrum(path, parts, angles, waves, values)
     remarks = (*remarks, *_above_one(parts, values))
     if errors is not None and not (np.isfinite(errors).all() and (errors >= 0).all() and np.median(errors) > 0):

@@ -191,9 +191,9 @@ def make_report(
     mixes = isinstance(material.model, Polarised) and material.model.mixes_polarisations
     spectrum = material.spectrum(np.radians([0.0, 45.0]), bsdf.wavelengths_nm, "mueller" if mixes else "both")
     parts = {name: _luminous(value, spectrum.wavelengths_nm, *light) for name, value in spectrum.parts().items()}
-    lost = energy_defect(material.model, np.radians([0.0, 45.0]), spectrum.wavelengths_nm, seed)
-    if lost is not None:
-        parts["energy_defect"] = _luminous(lost, spectrum.wavelengths_nm, *light)
+    defect = energy_defect(material.model, np.radians([0.0, 45.0]), spectrum.wavelengths_nm, seed)
+    if defect is not None:
+        parts["energy_defect"] = _luminous(defect, spectrum.wavelengths_nm, *light)
     totals = {}
     for name, values in parts.items():
         for angle, value in zip((0, 45), values, strict=True):
@@ -255,7 +255,7 @@ def read_geometries(texts: Sequence[str]) -> dict[str, Geometry]:
     Raises:
         RecipeError: another form, an angle behind the surface, an empty name, or the same name twice.
     """
-    found: dict[str, Geometry] = {}
+    geometries: dict[str, Geometry] = {}
     for text in texts:
         name, separator, value = text.rpartition("=")
         one = Geometry.read(value, "geometry")
@@ -264,10 +264,10 @@ def read_geometries(texts: Sequence[str]) -> dict[str, Geometry]:
         name = name.strip() if separator else str(one)
         if not name:
             raise RecipeError(f'geometry = "{text}" has an empty name; write such as "door=45as25az90"')
-        if name in found:
+        if name in geometries:
             raise RecipeError(f'geometry = "{text}": the name {name} occurs twice')
-        found[name] = one
-    return found
+        geometries[name] = one
+    return geometries
 
 
 def flop_index(lightness_15: float, lightness_45: float, lightness_110: float) -> float | None:

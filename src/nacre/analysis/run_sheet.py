@@ -120,13 +120,13 @@ def make_run_sheet(
     if not layers or any(layer.incoherent for _, layer in layers):
         why = "has an incoherent layer" if layers else "has no layers"
         raise UnsupportedError(f"{material.context.source}: a run sheet needs coherent layers; this film {why}")
-    found = []
+    sheet_layers = []
     below: tuple[Layer, ...] = ()
     for number, layer in reversed(layers):
         grow = _Growth(layer, below, stack.substrate, wavelength_nm, angle_deg, quantity)
-        found.append(_monitored(number, grow, noise))
+        sheet_layers.append(_monitored(number, grow, noise))
         below = (layer, *below)
-    return RunSheet(material.name, quantity, wavelength_nm, angle_deg, noise, tuple(found))
+    return RunSheet(material.name, quantity, wavelength_nm, angle_deg, noise, tuple(sheet_layers))
 
 
 @dataclass(frozen=True)

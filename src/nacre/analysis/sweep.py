@@ -577,8 +577,8 @@ def _angles(colours: SweepColours, kind: str, angles_deg: Array | None) -> list[
         for angle in np.atleast_1d(angles_deg):
             place = int(np.argmin(np.abs(stored - angle)))
             if abs(float(stored[place] - angle)) > 1e-6:
-                held = ", ".join(f"{a:g}" for a in stored)
-                raise NacreError(f"--angles-deg: the sweep does not hold {angle:g} degrees; it holds {held}")
+                stored_text = ", ".join(f"{a:g}" for a in stored)
+                raise NacreError(f"--angles-deg: the sweep does not hold {angle:g} degrees; it holds {stored_text}")
             places.append(place)
         if kind == "colour-map" and len(places) > MAX_MAPS:
             raise NacreError(f"--angles-deg: a colour map shows {MAX_MAPS} angles at most, not {len(places)}")

@@ -174,8 +174,8 @@ def _read_axis(path: str, value: Any, mode: str, source: str) -> Axis:
         raise RecipeError(f"{source}: {key} = {show_value(value)} should be a list or a table {{start, stop, count}}")
     unknown = set(value) - set(AxisSpec.model_fields)
     if unknown:
-        known = "values, start, stop, count, step, log"
-        raise RecipeError(f"{source}: {key}.{sorted(unknown)[0]} is not known; use {known}")
+        allowed = "values, start, stop, count, step, log"
+        raise RecipeError(f"{source}: {key}.{sorted(unknown)[0]} is not known; use {allowed}")
     if "values" in value:
         values = value["values"]
         if not isinstance(values, list) or not values or len(values) > MAX_POINTS:
@@ -278,8 +278,8 @@ class Measurement:
             arrays[f"lab_{AT_GEOMETRIES}"], arrays[f"xyz_{AT_GEOMETRIES}"] = lab, np.asarray(lab_to_xyz(lab, white))
         if self.texture:
             light = (self.illuminant, self.observer)
-            asked = [TextureQuantity.named(name, "measure.texture", light=light) for name in self.texture]
-            arrays["texture"], arrays["texture_error"] = texture_values(material, asked, seed)
+            quantities = [TextureQuantity.named(name, "measure.texture", light=light) for name in self.texture]
+            arrays["texture"], arrays["texture_error"] = texture_values(material, quantities, seed)
         return arrays
 
 
@@ -428,8 +428,8 @@ def _measurement(spec: MeasureSpec, material: Material, source: str) -> Measurem
     if grid is not None and (len(grid) < 2 or min(grid) <= 0 or any(b <= a for a, b in zip(grid, grid[1:]))):
         raise RecipeError(f"{source}: measure.wavelengths_nm must be positive and ascending, at least two")
     named = recipe_geometries(material)
-    asked = list(named) if spec.geometries is None else spec.geometries
-    geometries = tuple((name, str(Geometry.read(name, f"{source}: measure.geometries", named))) for name in asked)
+    requested = list(named) if spec.geometries is None else spec.geometries
+    geometries = tuple((name, str(Geometry.read(name, f"{source}: measure.geometries", named))) for name in requested)
     for name in spec.texture:
         TextureQuantity.named(name, f"{source}: measure.texture")
     if spec.texture:

@@ -86,8 +86,8 @@ def covered_share(material: Material) -> tuple[float, Material] | None:
         return None
     if not isinstance(first, Mapping) or not isinstance(second, Mapping) or first.get("family") != "film":
         return None
-    film, bare = ({k: v for k, v in part.items() if k != "layers"} for part in (first, second))
-    if film != bare or second.get("layers") or not first.get("layers"):
+    film, uncovered = ({k: v for k, v in part.items() if k != "layers"} for part in (first, second))
+    if film != uncovered or second.get("layers") or not first.get("layers"):
         return None
     return float(mask), material_from_data(first, material.context)
 
@@ -100,10 +100,10 @@ def _fit_share(material: Material, share: float, covering: Material) -> ThinFilm
     assert spectrum.specular_reflectance is not None
     grid = spectrum.wavelengths_nm
     target = xyz_to_lab(spectrum_to_xyz(spectrum.specular_reflectance, grid))
-    coated, bare = (
+    coated, uncovered = (
         np.asarray(lab_to_xyz(film_lab(f, grid))) for f in (film, dataclasses.replace(film, thickness_nm=0.0))
     )
-    residual = np.asarray(delta_e_2000(target, xyz_to_lab(share * coated + (1 - share) * bare)))
+    residual = np.asarray(delta_e_2000(target, xyz_to_lab(share * coated + (1 - share) * uncovered)))
     return ThinFilmFit(film, ANGLES_DEG, residual, fit.lost)
 
 
@@ -277,11 +277,11 @@ def fit_thickness_map(material: Material, axis: ParameterAxis) -> ThicknessMapFi
         if best is None or residual.mean() < best[0]:
             best = float(residual.mean()), fit, thicknesses[path], residual
     assert best is not None
-    _, fit, found, residual = best
+    _, fit, best_thicknesses, residual = best
     image = map_over_uv(axis)[::-1]
     unit = np.linspace(0.0, 1.0, VALUES)
-    nm = np.interp(image, unit, found)
-    least, most = float(found.min()), float(found.max())
+    nm = np.interp(image, unit, best_thicknesses)
+    least, most = float(best_thicknesses.min()), float(best_thicknesses.max())
     thickness = ThicknessMap(least, most, (nm - least) / max(most - least, 1e-9))
     return ThicknessMapFit(fit, thickness, values, residual, float(np.interp(image, unit, residual).mean()))
 
@@ -304,12 +304,12 @@ def _path(cost: Array) -> Array:
     """Return the thickness index of each value along the cheapest continuous path (Viterbi)."""
     count = cost.shape[1]
     change = CONTINUITY * STEP_NM * np.abs(np.arange(count)[:, None] - np.arange(count)[None])
-    total, came = cost[0], []
+    total, previous = cost[0], []
     for row in cost[1:]:
         candidates = total[:, None] + change
-        came.append(np.argmin(candidates, axis=0))
+        previous.append(np.argmin(candidates, axis=0))
         total = candidates.min(axis=0) + row
     path = [int(np.argmin(total))]
-    for back in reversed(came):
+    for back in reversed(previous):
         path.append(int(back[path[-1]]))
     return np.array(path[::-1])

@@ -36,14 +36,14 @@ class Ties:
         Raises:
             NacreError: a number is not finite, or not real.
         """
-        known = {**self.fixed, **free}
-        found = dict(free)
+        all_values = {**self.fixed, **free}
+        values = dict(free)
         for path, expression in self.expressions.items():
             try:
-                known[path] = found[path] = _evaluate(expression, known)
+                all_values[path] = values[path] = _evaluate(expression, all_values)
             except (ZeroDivisionError, OverflowError, TypeError):  # the last of a complex power
                 raise NacreError(f"ties.{path} = {ast.unparse(expression)} is not a finite real number") from None
-        return found
+        return values
 
 
 def read_ties(material: Material, free: Iterable[str], options: tuple[str, ...] = ()) -> Ties:
@@ -54,13 +54,13 @@ def read_ties(material: Material, free: Iterable[str], options: tuple[str, ...] 
     """
     source = material.context.source
     table = _table(material)
-    given = []
+    overrides = []
     for option in options:
         path, equals, text = option.partition("=")
         if not equals or not text.strip():
             raise RecipeError(f'--tie "{option}" cannot be read; write PATH=EXPRESSION: {FORM}')
-        given.append((path.strip(), text.strip()))
-    parsed = {path: _parsed(path, text, source) for path, text in with_options(table, given, "--tie").items()}
+        overrides.append((path.strip(), text.strip()))
+    parsed = {path: _parsed(path, text, source) for path, text in with_options(table, overrides, "--tie").items()}
     moving = set(free)
     for path in parsed:
         if path in moving:
@@ -95,8 +95,8 @@ def with_ties(material: Material, changed: Iterable[str] = ()) -> Material:
         material = replace(material, data={**material.data, "ties": table})
     if not table:
         return material
-    found = {path: v for path, v in read_ties(material, ()).values({}).items() if not path.startswith(INSTRUMENT)}
-    return material.vary(found) if found else material
+    values = {path: v for path, v in read_ties(material, ()).values({}).items() if not path.startswith(INSTRUMENT)}
+    return material.vary(values) if values else material
 
 
 def tied_maker(material: Material, paths: Iterable[str]) -> Callable[[Mapping[str, Any]], Material]:
@@ -160,14 +160,14 @@ def _paths(node: ast.expr) -> set[str]:
     raise ValueError(type(node).__name__)
 
 
-def _evaluate(node: ast.expr, known: Mapping[str, Any]) -> float:
+def _evaluate(node: ast.expr, values: Mapping[str, Any]) -> float:
     if isinstance(node, ast.BinOp):
-        return float(_OPERATORS[type(node.op)](_evaluate(node.left, known), _evaluate(node.right, known)))
+        return float(_OPERATORS[type(node.op)](_evaluate(node.left, values), _evaluate(node.right, values)))
     if isinstance(node, ast.UnaryOp):
-        return float(_OPERATORS[type(node.op)](_evaluate(node.operand, known)))
+        return float(_OPERATORS[type(node.op)](_evaluate(node.operand, values)))
     if isinstance(node, ast.Constant):
         return float(node.value)  # type: ignore[arg-type]  # checked when parsed
-    return float(known[ast.unparse(node)])
+    return float(values[ast.unparse(node)])
 
 
 def _ordered(parsed: Mapping[str, ast.expr], source: str) -> dict[str, ast.expr]:
@@ -176,13 +176,13 @@ def _ordered(parsed: Mapping[str, ast.expr], source: str) -> dict[str, ast.expr]
     Raises:
         RecipeError: the ties form a ring.
     """
-    found: dict[str, ast.expr] = {}
-    left = dict(parsed)
-    while left:
-        ready = [path for path, expression in left.items() if not _paths(expression) & set(left)]
+    ordered: dict[str, ast.expr] = {}
+    remaining = dict(parsed)
+    while remaining:
+        ready = [path for path, expression in remaining.items() if not _paths(expression) & set(remaining)]
         if not ready:
-            ring = " -> ".join([*left, next(iter(left))])
+            ring = " -> ".join([*remaining, next(iter(remaining))])
             raise RecipeError(f"{source}: ties: {ring} form a ring; remove one of them")
         for path in ready:
-            found[path] = left.pop(path)
-    return found
+            ordered[path] = remaining.pop(path)
+    return ordered

@@ -97,13 +97,13 @@ def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tupl
     """
     source = material.context.source
     table = by_path(material.data.get("tolerance", {}), {"deviation", "percent"}, source, "tolerance")
-    given = []
+    overrides = []
     for option in options:
         path, equals, text = option.rpartition("=")
         if not equals:
             raise RecipeError(f'--tolerance "{option}" cannot be read; write it like layers[0].thickness_nm=2% or =5')
-        given.append((path.strip(), text.strip()))
-    table = with_options(table, given, "--tolerance")
+        overrides.append((path.strip(), text.strip()))
+    table = with_options(table, overrides, "--tolerance")
     if not table:
         raise RecipeError(f"{source}: no tolerance is given; add a [tolerance] table or use --tolerance PATH=VALUE")
     return read_tolerances(table, material, source)
@@ -173,8 +173,8 @@ def run_tolerance(
     total = draws + 2 * len(causes)
     trials = _Trials(material, tuple(values), measure)
     drawn_values = list(np.stack(list(values.values()), axis=1))
-    found = run_jobs(_measure_draw, trials, drawn_values, workers, start_workers_s=START_WORKERS_S)
-    for done, (index, colours) in enumerate(found, start=1):
+    results = run_jobs(_measure_draw, trials, drawn_values, workers, start_workers_s=START_WORKERS_S)
+    for done, (index, colours) in enumerate(results, start=1):
         if colours is not None:
             flat[index] = colours  # otherwise it remains NaN and counts as failed
         if progress:
@@ -221,19 +221,19 @@ def _quantities(
     Raises:
         RecipeError: a quantity is not known, or of another instrument; or the material lacks texture.
     """
-    found = {}
+    limits = {}
     for name, limit in texture.items():
         each = TextureQuantity.named(name, "texture", light=light) if isinstance(name, str) else name
-        if each in found:
+        if each in limits:
             raise RecipeError(f'texture: "{each}" occurs twice')
         if not 0 < limit < np.inf:
             raise RecipeError(f'texture: "{each}" = {limit:g} is not a limit in per cent; allowed: above 0')
-        found[each] = float(limit)
-    if any((each.instrument or Instrument()) != (next(iter(found)).instrument or Instrument()) for each in found):
+        limits[each] = float(limit)
+    if any((each.instrument or Instrument()) != (next(iter(limits)).instrument or Instrument()) for each in limits):
         raise RecipeError("texture: the quantities are of several instruments; allowed: one")
-    if found:
-        check_texture(material, f'texture: "{next(iter(found))}"')
-    return found
+    if limits:
+        check_texture(material, f'texture: "{next(iter(limits))}"')
+    return limits
 
 
 def _texture_spreads(
@@ -252,8 +252,8 @@ def _contributions(causes: Sequence[Component], changes: Sequence[float]) -> tup
     for cause, change in zip(causes, changes, strict=True):
         variances[cause.source] = variances.get(cause.source, 0.0) + change**2
     total = sum(variances.values()) or 1.0
-    found = [(source, float(np.sqrt(variance)), variance / total) for source, variance in variances.items()]
-    return tuple(sorted(found, key=lambda each: -each[1]))
+    contributions = [(source, float(np.sqrt(variance)), variance / total) for source, variance in variances.items()]
+    return tuple(sorted(contributions, key=lambda each: -each[1]))
 
 
 @dataclass(frozen=True)

@@ -67,8 +67,8 @@ def colour_spectrum(
     grid = colour_grid(material, illuminant) if wavelengths_nm is None else wavelengths_nm
     if wavelengths_nm is None and grid is not None:
         try:
-            found: Spectrum = material.spectrum(theta_rad, grid, seed=seed)
-            return found
+            spectrum: Spectrum = material.spectrum(theta_rad, grid, seed=seed)
+            return spectrum
         except UnsupportedError:
             grid = None
     own: Spectrum = material.spectrum(theta_rad, grid, seed=seed)
@@ -83,8 +83,8 @@ def colour_bsdf(material: Any, illuminant: str, wavelengths_nm: Array | None = N
         coarse: False uses the material's grid also for random walks.
     """
     if wavelengths_nm is not None:
-        asked: Bsdf = material.bsdf(wavelengths_nm)
-        return asked
+        requested: Bsdf = material.bsdf(wavelengths_nm)
+        return requested
     grid = colour_grid(material, illuminant)
     if grid is not None:
         try:
@@ -280,8 +280,8 @@ def fit_lobes(values_at: Callable[[Array, Array], Array], theta_rad: Array, spre
             part = factors * used[-1] / WHOLE
             scale = spread[i, band] / max(float(part.sum()), 1e-12)
             found[:, i, band], share[:, i, band] = factors[:-1] * scale, (part / max(part.sum(), 1e-12))[:-1]
-    kept = [k for k in range(MOST_LOBES) if share[k].max() > LEAST_SHARE]
-    return [Gloss(float(ALPHAS[best[k]]), found[k]) for k in kept]
+    numbers = [k for k in range(MOST_LOBES) if share[k].max() > LEAST_SHARE]
+    return [Gloss(float(ALPHAS[best[k]]), found[k]) for k in numbers]
 
 
 def _ring_powers(values_at: Callable[[Array, Array], Array], theta: float) -> tuple[Array, Array]:
@@ -299,13 +299,13 @@ def _ring_powers(values_at: Callable[[Array, Array], Array], theta: float) -> tu
     towards = half @ wo
     wi = 2 * towards[..., None] * half - wo
     measure = np.sin(tilt) * 4 * towards * (0.5 * (high - low) * weight)[..., None] * (2 * np.pi / AZIMUTHS)
-    is_seen = (towards > 0) & (wi[..., 2] > 1e-4)
-    measure = np.where(is_seen, measure * wi[..., 2], 0.0)
-    ring = np.broadcast_to(np.arange(len(low))[:, None, None], is_seen.shape)[is_seen]
-    seen, area = wi[is_seen], measure[is_seen]
-    values = np.nan_to_num(values_at(seen, np.broadcast_to(wo, seen.shape)))
+    is_valid = (towards > 0) & (wi[..., 2] > 1e-4)
+    measure = np.where(is_valid, measure * wi[..., 2], 0.0)
+    ring = np.broadcast_to(np.arange(len(low))[:, None, None], is_valid.shape)[is_valid]
+    incident, area = wi[is_valid], measure[is_valid]
+    values = np.nan_to_num(values_at(incident, np.broadcast_to(wo, incident.shape)))
     white = np.stack(
-        [*(_mirror(alpha, seen, wo, half[is_seen]) for alpha in ALPHAS), np.full(len(seen), 1 / np.pi)], -1
+        [*(_mirror(alpha, incident, wo, half[is_valid]) for alpha in ALPHAS), np.full(len(incident), 1 / np.pi)], -1
     )
     sums: list[Array] = []
     for one in (values, white):

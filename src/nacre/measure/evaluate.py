@@ -115,12 +115,12 @@ def tristimulus_of_pairs(bsdf: Bsdf, wi: Array, wo: Array, illuminant: str) -> A
     """
     if narrowest_nm(bsdf.lobes) == np.inf:
         return spectrum_to_xyz(np.maximum(bsdf.evaluate(wi, wo), 0.0), bsdf.wavelengths_nm, illuminant)
-    found = []
+    columns = []
     for start in range(0, len(wi), PAIRS_AT_ONCE):
         some = slice(start, start + PAIRS_AT_ONCE)
         values, _, grid = evaluate_for_colours(bsdf, wi[some], wo[some])
-        found.append(spectrum_to_xyz(np.maximum(values, 0.0), grid, illuminant))
-    return np.concatenate(found)
+        columns.append(spectrum_to_xyz(np.maximum(values, 0.0), grid, illuminant))
+    return np.concatenate(columns)
 
 
 def evaluate_at_own(bsdf: Bsdf, wi: Array, wo: Array, *, samples: int | None = None, seed: int = 0) -> Array:
@@ -147,30 +147,30 @@ def on_wavelengths(values: Array, own_nm: Array, wavelengths_nm: Array) -> Array
         return values
     weights = np.sqrt(np.gradient(own_nm))
     matrix = spline_matrix(wavelengths_nm, own_nm) * weights[:, None]
-    found: Array = values * weights @ np.linalg.pinv(matrix).T
-    return found
+    sampled: Array = values * weights @ np.linalg.pinv(matrix).T
+    return sampled
 
 
 def _warn_of_lines(bsdf: Bsdf) -> None:
     """Warn that lines lie between the wavelengths."""
     line, steps = narrowest_nm(bsdf.lobes), np.diff(bsdf.wavelengths_nm)
     if steps.max(initial=0.0) > max(line, LEAST_STEP_NM):
-        said = (
+        message = (
             f"at fixed directions its orders are lines {line:.2g} nm wide, between wavelengths {steps.max():g} nm apart"
         )
-        _warn_once(str(bsdf.provenance.get("source", "material")), f"{said}: these values are samples, not means")
+        _warn_once(str(bsdf.provenance.get("source", "material")), f"{message}: these values are samples, not means")
 
 
 def warn_of_table(bsdf: Bsdf, theta_rad: Array) -> None:
     """Warn of incidences `theta_rad` (> pi/2: from behind) at which the tables over angle are inexact."""
-    if found := bsdf.error_ranges(theta_rad):
+    if ranges := bsdf.error_ranges(theta_rad):
         source = str(bsdf.provenance.get("source", "material"))
-        _warn_once(source, f"{found}; the spectrum of a film's recipe is exact")
+        _warn_once(source, f"{ranges}; the spectrum of a film's recipe is exact")
 
 
 @functools.lru_cache(maxsize=256)  # each message once per process
-def _warn_once(source: str, said: str) -> None:
-    logger.warning("%s: %s", source, said)
+def _warn_once(source: str, message: str) -> None:
+    logger.warning("%s: %s", source, message)
 
 
 def _facet_angles(wi: Array, wo: Array) -> Array:
@@ -183,14 +183,14 @@ def _facet_angles(wi: Array, wo: Array) -> Array:
 
 def _directions(wi: ArrayLike, wo: ArrayLike) -> tuple[Array, Array]:
     """Return unit vector pairs of equal shape `[..., 3]`."""
-    given = {"wi": floats(wi, "wi"), "wo": floats(wo, "wo")}
+    pairs = {"wi": floats(wi, "wi"), "wo": floats(wo, "wo")}
     try:
-        wi_array, wo_array = np.broadcast_arrays(*given.values())
+        wi_array, wo_array = np.broadcast_arrays(*pairs.values())
     except ValueError:
-        raise UnsupportedError(f"wi and wo have shapes {[list(a.shape) for a in given.values()]}, no pairs") from None
+        raise UnsupportedError(f"wi and wo have shapes {[list(a.shape) for a in pairs.values()]}, no pairs") from None
     if wi_array.shape[-1:] != (3,):
         raise UnsupportedError(f"wi and wo have shape {list(wi_array.shape)}; the last axis must be 3")
-    for name, array in given.items():
+    for name, array in pairs.items():
         if not np.all(np.abs(np.linalg.norm(array, axis=-1) - 1) <= UNIT_TOLERANCE):
             raise UnsupportedError(f"{name} must hold unit vectors; one has another length, or is not finite")
     return wi_array, wo_array
@@ -429,8 +429,8 @@ def crossed_polarisers(matrices: Array) -> Array:
     axes = np.stack([np.ones_like(azimuths), np.cos(azimuths), np.sin(azimuths), 0.0 * azimuths], axis=-1)
     crossed = axes * np.array([1.0, -1.0, -1.0, 1.0])
     passed = 0.5 * np.einsum("ai,lij,aj->al", crossed, matrices, axes)
-    found: Array = np.clip(passed[np.argmax(passed.mean(axis=1))], 0.0, None)
-    return found
+    brightest: Array = np.clip(passed[np.argmax(passed.mean(axis=1))], 0.0, None)
+    return brightest
 
 
 def retardance_nm(matrices: Array, wavelengths_nm: Array) -> float | None:

@@ -139,10 +139,10 @@ class Geometry:
         Raises:
             RecipeError: another form, or an angle behind the surface.
         """
-        said = text.strip()
-        if named and said in named:
-            return named[said]
-        word, aspecular = _WORD.match(said), _ASPECULAR.match(said)
+        stripped = text.strip()
+        if named and stripped in named:
+            return named[stripped]
+        word, aspecular = _WORD.match(stripped), _ASPECULAR.match(stripped)
         try:
             if aspecular:
                 incidence, angle, azimuth = aspecular.groups()
@@ -151,7 +151,7 @@ class Geometry:
             elif word and word[1] in KINDS:
                 geometry = cls(word[1], float(word[2]))
             else:
-                hint = did_you_mean(word[1], KINDS) if word else did_you_mean(said, list(named or ()))
+                hint = did_you_mean(word[1], KINDS) if word else did_you_mean(stripped, list(named or ()))
                 raise RecipeError(f"{where} = {show_value(text)} is not known.{hint} Write {FORMS}")
         except ValueError:
             raise RecipeError(f"{where} = {show_value(text)} holds no angle; write {FORMS}") from None
@@ -200,19 +200,19 @@ def named_geometries(entries: Any, where: str) -> dict[str, Geometry]:
     """
     if not isinstance(entries, Sequence) or isinstance(entries, str):
         raise RecipeError(f"{where} = {show_value(entries)} should be a list of tables: [[geometry]] with name and at")
-    found: dict[str, Geometry] = {}
+    geometries: dict[str, Geometry] = {}
     for number, entry in enumerate(entries):
         table = entry if isinstance(entry, Mapping) else {}
         name, at = table.get("name"), table.get("at")
         if set(table) != {"name", "at"} or not isinstance(name, str) or not name.strip() or not isinstance(at, str):
             raise RecipeError(f'{where}[{number}] = {show_value(entry)}: write name = "door" and at = "45as60az125.3"')
-        if name.strip() in found:
+        if name.strip() in geometries:
             raise RecipeError(f'{where}[{number}].name = "{name}" occurs twice')
         one = Geometry.read(at, f"{where}[{number}].at")
         if _is_another(name, one):
             raise RecipeError(f'{where}[{number}].name = "{name}" is another geometry than at = "{at}"; choose a word')
-        found[name.strip()] = one
-    return found
+        geometries[name.strip()] = one
+    return geometries
 
 
 def _is_another(name: str, geometry: Geometry) -> bool:

@@ -167,8 +167,8 @@ def _levels(values: Array, weights: Array, count: int) -> tuple[Array, Array]:
     bins = np.minimum((place * count).astype(int), count - 1)
     total = np.bincount(bins, mass, count)
     sums = np.bincount(bins, mass * flat, count)
-    held = total > 0
-    return np.asarray(sums[held] / total[held]), np.asarray(total[held], dtype=float)
+    is_filled = total > 0
+    return np.asarray(sums[is_filled] / total[is_filled]), np.asarray(total[is_filled], dtype=float)
 
 
 def _quantile(table: Array, share: Array) -> Array:
@@ -209,19 +209,19 @@ def _measure(flakes: LitFlakes, side_um: float, effort: float) -> tuple[list[tup
     q = (np.arange(slopes) + 0.5) / slopes * FARTHEST
     turn = (np.arange(TURNS) + 0.5) * 2 * np.pi / TURNS
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    found: list[tuple[Array, ...]] = []
+    products: list[tuple[Array, ...]] = []
     largest = 0.0
     for radius, spot, width in zip(radii, _spot_radii(flakes, radii), _widths(flakes, radii), strict=True):
         offset = np.sqrt(q)[:, None, None] * circle * width
         ellipse = math.pi * float(width[0] * width[1]) * FARTHEST / slopes  # slope area of one node
-        seen = flakes.density(flakes.half + offset).mean(axis=1) * ellipse
+        density = flakes.density(flakes.half + offset).mean(axis=1) * ellipse
         kernel = np.exp(-0.5 * q) / (2.0 * math.pi * width[0] * width[1])
         covered, place = _pixel_shares(float(spot), side_um, round(PLACES * effort))
         share, at = _levels(covered / side_um**2 * (radius / spot) ** 2, np.full(covered.shape, place), LEVELS)
         number = flakes.number / UM2_PER_MM2 / count
-        found.append((kernel, seen * number, bright, chance, share, at))
+        products.append((kernel, density * number, bright, chance, share, at))
         largest = max(largest, float(kernel.max() * bright.max() * share.max()))
-    return found, largest
+    return products, largest
 
 
 def _moments(parts: Sequence[tuple[Array, ...]]) -> tuple[float, float]:
@@ -234,7 +234,7 @@ def _moments(parts: Sequence[tuple[Array, ...]]) -> tuple[float, float]:
 def _tail(area: Area, field_mean: float, pixels: Pixels, effort: float) -> tuple[float, float]:
     """Return the probability that a pixel sparkles, and the mean excess of such pixels times that probability."""
     measured = [_measure(flakes, pixels.pixel_um, effort) for flakes in area.flakes]
-    parts = [part for found, _ in measured for part in found]
+    parts = [part for products, _ in measured for part in products]
     first, second = _moments(parts)
     uniform = max(area.mean - first, 0.0)
     largest = max((most for _, most in measured), default=0.0)
@@ -281,12 +281,12 @@ def sparkle_statistics(areas: Sequence[Area], pixels: Pixels, is_fine: bool = Tr
         is_fine: False for half the nodes, a quarter of the time, and errors of 0.
     """
     mean = sum(area.share * area.mean for area in areas)
-    found = []
+    statistics = []
     for effort in (1.0, 0.5) if is_fine else (0.5,):
         tails = np.array([_tail(area, mean, pixels, effort) for area in areas])
         chance, excess = np.array([area.share for area in areas]) @ tails
-        found.append(_numbers(float(chance), float(excess)))
-    fine, coarse = found[0], found[-1]
+        statistics.append(_numbers(float(chance), float(excess)))
+    fine, coarse = statistics[0], statistics[-1]
     return Sparkle(*fine, *(abs(a - b) for a, b in zip(fine, coarse, strict=True)))
 
 
@@ -311,8 +311,8 @@ def _draw(flakes: LitFlakes, pixels: Pixels, image: Array, generator: np.random.
         angle = 2 * np.pi * generator.random(size)
         offset = np.sqrt(away)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1) * width
         area = math.pi * FARTHEST * width[:, 0] * width[:, 1]
-        kept = generator.random(size) * most < flakes.density(flakes.half + offset) * area
-        radius, width, away = radius[kept], width[kept], away[kept]
+        is_accepted = generator.random(size) * most < flakes.density(flakes.half + offset) * area
+        radius, width, away = radius[is_accepted], width[is_accepted], away[is_accepted]
         depth = generator.random(len(radius))
         crossed = generator.poisson(flakes.crossings * depth)
         light = _read_brightness(flakes.brightness, depth, crossed)
@@ -326,8 +326,8 @@ def _read_brightness(table: Array, depth: Array, crossed: NDArray[np.int64]) -> 
     at = depth * (len(table) - 1)
     low = np.minimum(at.astype(int), len(table) - 2)
     column = np.minimum(crossed, table.shape[1] - 1)
-    found = table[low, column] + (at - low) * (table[low + 1, column] - table[low, column])
-    return np.where(crossed < table.shape[1], found, 0.0)
+    value = table[low, column] + (at - low) * (table[low + 1, column] - table[low, column])
+    return np.where(crossed < table.shape[1], value, 0.0)
 
 
 def _candidates(area: Area) -> float:
@@ -375,27 +375,27 @@ def measure_image(image: Array, pixels: Pixels) -> Sparkle:
     sums = blocks.sum(axis=1)
     candidates = [np.sort(values[values > 0.5 * image.mean()]) for values in blocks]
 
-    def of(left: int | None) -> tuple[float, float]:
-        kept = [k for k in range(len(blocks)) if k != left]
-        pixels_kept = len(kept) * blocks.shape[1]
-        mean = float(sums[kept].sum()) / pixels_kept
+    def of(omitted: int | None) -> tuple[float, float]:
+        used = [k for k in range(len(blocks)) if k != omitted]
+        pixels_used = len(used) * blocks.shape[1]
+        mean = float(sums[used].sum()) / pixels_used
         limit = mean + pixels.threshold * (mean + pixels.dark)
         number, light = 0, 0.0
-        for k in kept:
+        for k in used:
             above = candidates[k][np.searchsorted(candidates[k], limit, side="right") :]
             number, light = number + len(above), light + float(above.sum())
-        return number / pixels_kept, (light - number * mean) / pixels_kept
+        return number / pixels_used, (light - number * mean) / pixels_used
 
-    whole = _numbers(*of(None))
-    left_out = np.array([_numbers(*of(k)) for k in range(len(blocks))])
-    errors = math.sqrt(len(blocks) - 1.0) * left_out.std(axis=0)
+    estimate = _numbers(*of(None))
+    leave_one_out = np.array([_numbers(*of(k)) for k in range(len(blocks))])
+    errors = math.sqrt(len(blocks) - 1.0) * leave_one_out.std(axis=0)
     # errors due to one sparkling pixel; without any, the intensity is unknown
     least = (
-        0.0 if whole[1] > 0 else math.inf,
+        0.0 if estimate[1] > 0 else math.inf,
         100.0 / image.size,
         pixels.threshold * image.mean() / math.sqrt(image.size),
     )
-    return Sparkle(*whole, *(float(max(pair)) for pair in zip(errors, least, strict=True)))
+    return Sparkle(*estimate, *(float(max(pair)) for pair in zip(errors, least, strict=True)))
 
 
 # Graininess of an effect coating under diffuse light: the flakes' luminance differences that the eye resolves.
@@ -461,9 +461,9 @@ def eye_filter(cycles_per_mm: Array, distance_mm: float) -> Array:
     """Return the relative contrast sensitivity at a viewing distance."""
     cpd = np.asarray(cycles_per_mm) * distance_mm * math.radians(1.0)
     f = np.maximum(cpd, PEAK_CPD)
-    found = (0.0192 + 0.114 * f) * np.exp(-((0.114 * f) ** 1.1))
+    sensitivity = (0.0192 + 0.114 * f) * np.exp(-((0.114 * f) ** 1.1))
     peak = (0.0192 + 0.114 * PEAK_CPD) * math.exp(-((0.114 * PEAK_CPD) ** 1.1))
-    return np.asarray(np.where(cpd > LAST_CPD, 0.0, found / peak))
+    return np.asarray(np.where(cpd > LAST_CPD, 0.0, sensitivity / peak))
 
 
 def _common_share(flakes: DiffuseFlakes, lag_um: Array) -> Array:
@@ -546,11 +546,11 @@ def graininess_statistics(
         is_fine: False for half the steps and an error of 0.
     """
     mean = sum(factor * area.mean for factor, area in areas)
-    found = [
+    statistics = [
         sum(factor**2 * filtered_variance(area, distance_mm, steps) for factor, area in areas)
         for steps in ((STEPS, STEPS // 2) if is_fine else (STEPS // 2,))
     ]
-    fine, coarse = found[0], found[-1]
+    fine, coarse = statistics[0], statistics[-1]
     value = 100.0 * math.sqrt(max(fine, 0.0)) / mean if mean > 0 else 0.0
     other = 100.0 * math.sqrt(max(coarse, 0.0)) / mean if mean > 0 else 0.0
     return Graininess(value, abs(value - other))

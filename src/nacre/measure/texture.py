@@ -100,10 +100,8 @@ class Instrument(RecipeModel):
                     f"calibration.{name} is not known.{did_you_mean(name, names)} Known: {', '.join(names)}"
                 )
             if not pairs or not all(math.isfinite(v) and v >= 0 for pair in pairs for v in pair):
-                given = show_value([list(pair) for pair in pairs])
-                raise ValueError(
-                    f"calibration.{name} = {given} is not allowed; write [[relative, measured]], from 0 up"
-                )
+                text = show_value([list(pair) for pair in pairs])
+                raise ValueError(f"calibration.{name} = {text} is not allowed; write [[relative, measured]], from 0 up")
             if max(pair[0] for pair in pairs) <= 0:
                 raise ValueError(f"calibration.{name} needs a relative value above 0")
         if self.pixel_um * 64 > self.field_mm * 1e3:
@@ -203,11 +201,11 @@ class Texture:
     @property
     def pictures(self) -> dict[str, tuple[Array, float]]:
         """Images of the patches with the lengths of their sides in mm, for `nacre.plot.texture_figure`."""
-        found = {}
+        images = {}
         for name, image in self.images.items():
             tile = self.instrument.field_mm / math.sqrt(TILES)
-            found[name] = (image, tile if name == "diffuse" else image.shape[0] * self.instrument.pixel_um / 1e3)
-        return found
+            images[name] = (image, tile if name == "diffuse" else image.shape[0] * self.instrument.pixel_um / 1e3)
+        return images
 
     @property
     def scale(self) -> str:
@@ -245,8 +243,8 @@ def calibrate(pairs: Sequence[Pair], value: float) -> tuple[float, bool]:
         return nodes[-1][1] * value / nodes[-1][0], is_outside
     if nodes[0][0] > 0:
         nodes.insert(0, (0.0, 0.0))
-    found = np.interp(value, [x for x, _ in nodes], [y for _, y in nodes])
-    return float(found), is_outside
+    calibrated = np.interp(value, [x for x, _ in nodes], [y for _, y in nodes])
+    return float(calibrated), is_outside
 
 
 def texture_values(
@@ -272,7 +270,7 @@ def texture_values(
     scene = _Scene(material, *quantities[0].light, seed, fidelity, [str(each) for each in quantities])
     pixels, cones = _camera(tool)
     sparkle: dict[float, Sparkle] = {}
-    found = []
+    numbers = []
     for each in quantities:
         if each.kind == "graininess":
             grain = graininess_statistics(scene.diffuse()[0], tool.distance_mm, is_final)
@@ -288,8 +286,8 @@ def texture_values(
         if pairs:
             low, high = (calibrate(pairs, max(v, 0.0))[0] for v in (value - error, value + error))
             value, error = calibrate(pairs, value)[0], 0.5 * (high - low)
-        found.append((value, error))
-    values, errors = np.array(found).T
+        numbers.append((value, error))
+    values, errors = np.array(numbers).T
     return values, errors
 
 
@@ -348,10 +346,10 @@ def measure_texture(
         label = f"{angle:g}"
         luminance[label] = (sum(area.share * area.mean for area in areas), error)
         closed = sparkle_statistics(areas, pixels)
-        found = closed
+        result = closed
         if method == "patch":
-            found, images[label] = sparkle_patch(areas, pixels, 8 * seed + number)
-        sparkle[label] = _with_mean_error(found, closed, areas, pixels, error)
+            result, images[label] = sparkle_patch(areas, pixels, 8 * seed + number)
+        sparkle[label] = _with_mean_error(result, closed, areas, pixels, error)
     diffuse, mean = scene.diffuse()
     luminance["diffuse"] = (mean, 0.0)
     if method == "patch":
@@ -363,30 +361,30 @@ def measure_texture(
     return replace(plain, calibrated=calibrated, extrapolated=outside)
 
 
-def _with_mean_error(found: Sparkle, closed: Sparkle, areas: Sequence[Area], pixels: Pixels, error: float) -> Sparkle:
+def _with_mean_error(sparkle: Sparkle, closed: Sparkle, areas: Sequence[Area], pixels: Pixels, error: float) -> Sparkle:
     """Add the effect of the error of the mean luminance to the standard errors."""
     if error <= 0:
-        return found
+        return sparkle
     moved = sparkle_statistics([replace(area, mean=area.mean + error) for area in areas], pixels)
     names = ("intensity", "area", "grade")
     changes = {
-        f"{name}_error": math.hypot(getattr(found, f"{name}_error"), getattr(moved, name) - getattr(closed, name))
+        f"{name}_error": math.hypot(getattr(sparkle, f"{name}_error"), getattr(moved, name) - getattr(closed, name))
         for name in names
     }
-    return replace(found, **changes)
+    return replace(sparkle, **changes)
 
 
 def _calibrated(texture: Texture) -> tuple[dict[str, float], tuple[str, ...]]:
     values = {"graininess": texture.graininess.value}
     for label, one in texture.sparkle.items():
         values |= {f"sparkle_{label}": one.grade, f"intensity_{label}": one.intensity, f"area_{label}": one.area}
-    found, outside = {}, []
+    calibrated, outside = {}, []
     for name, value in values.items():
         pairs = _pairs(texture.instrument, name)
         if pairs:
-            found[name], is_outside = calibrate(pairs, value)
+            calibrated[name], is_outside = calibrate(pairs, value)
             outside += [name] if is_outside else []
-    return found, tuple(outside)
+    return calibrated, tuple(outside)
 
 
 class _Scene:
@@ -433,21 +431,23 @@ class _Scene:
         if id(model) not in self.luminances:
             wi = direction(np.concatenate([np.radians(self.angles), np.arcsin(self.nodes)]))
             wo = np.broadcast_to(NORMAL, wi.shape)
-            found = surrogate_radiance(model, wi, wo, self.wavelengths_nm, not self.is_scout)
-            if found is not None and not self.is_scout and np.any(found[1]):
+            radiance = surrogate_radiance(model, wi, wo, self.wavelengths_nm, not self.is_scout)
+            if radiance is not None and not self.is_scout and np.any(radiance[1]):
                 assert isinstance(model, Surrogate)
-                found = None if model.surrogate_error is None else found  # a base that is not diffuse
-            parts = None if found is None else (np.pi * found[0] @ self.weights, np.pi * found[1] @ self.weights)
+                radiance = None if model.surrogate_error is None else radiance  # a base that is not diffuse
+            parts = (
+                None if radiance is None else (np.pi * radiance[0] @ self.weights, np.pi * radiance[1] @ self.weights)
+            )
             self.luminances[id(model)] = parts
         return self.luminances[id(model)]
 
     def _mean(self, model: Model, theta_rad: float) -> tuple[float, float]:
         """Return the luminance factor along the normal under a lamp, and its standard error."""
         at = next((k for k, a in enumerate(self.angles) if math.isclose(math.radians(a), theta_rad)), None)
-        found = None if at is None else self._surrogate(model)
-        if at is not None and found is not None:
+        pair = None if at is None else self._surrogate(model)
+        if at is not None and pair is not None:
             assert isinstance(model, Surrogate)
-            return float(found[0][at] + found[1][at]), (model.surrogate_error or 0.0) * float(found[1][at])
+            return float(pair[0][at] + pair[1][at]), (model.surrogate_error or 0.0) * float(pair[1][at])
         wi = direction(theta_rad)[None]
         values, error = evaluate_with_error(self._bsdf(model), wi, NORMAL[None], samples=SAMPLES, seed=self.seed)
         return float(np.pi * values[0] @ self.weights), 0.0 if error is None else float(np.pi * error[0] @ self.weights)
@@ -463,8 +463,8 @@ class _Scene:
         means = {key: self._mean(model, theta_rad) for key, model in self.models.items()}
         areas, variance = [], 0.0
         for share, parts in self.places:
-            found = tuple(one.scaled(factor) for factor, m in parts if factor > 0 for one in flakes.get(id(m), []))
-            areas.append(Area(share, found, sum(factor * means[id(m)][0] for factor, m in parts)))
+            flat = tuple(one.scaled(factor) for factor, m in parts if factor > 0 for one in flakes.get(id(m), []))
+            areas.append(Area(share, flat, sum(factor * means[id(m)][0] for factor, m in parts)))
         for key, (_, deviation) in means.items():
             total = sum(share * factor for share, parts in self.places for factor, m in parts if id(m) == key)
             variance += (total * deviation) ** 2
@@ -472,7 +472,7 @@ class _Scene:
 
     def diffuse(self) -> tuple[list[tuple[float, DiffuseArea]], float]:
         """Return the parts under diffuse light, each with the factor on its deviation, and the mean luminance."""
-        found: list[tuple[float, DiffuseArea]] = []
+        areas: list[tuple[float, DiffuseArea]] = []
         mean, made = 0.0, {}
         for share, parts in self.places:
             for factor, model in parts:
@@ -480,10 +480,10 @@ class _Scene:
                     continue
                 if id(model) not in made:
                     made[id(model)] = self._diffuse_part(model)
-                found.append((math.sqrt(share) * factor, made[id(model)]))
+                areas.append((math.sqrt(share) * factor, made[id(model)]))
                 mean += share * factor * made[id(model)].mean
         # variances are weighted by the squares; the means of the parts only enter by their sum
-        flakes = [(factor, area) for factor, area in found if area.flakes]
+        flakes = [(factor, area) for factor, area in areas if area.flakes]
         weighted = sum(factor * area.mean for factor, area in flakes)
         rest = DiffuseArea((), mean - weighted)
         return [*flakes, (1.0, rest)], mean
@@ -503,9 +503,9 @@ class _Scene:
 
     def _hemisphere(self, model: Model) -> float:
         """Return the luminance factor along the normal under diffuse light: the hemispherical reflectance."""
-        found = self._surrogate(model)
-        if found is not None:
-            return float(self.node_weights @ (found[0] + found[1])[len(self.angles) :])
+        pair = self._surrogate(model)
+        if pair is not None:
+            return float(self.node_weights @ (pair[0] + pair[1])[len(self.angles) :])
         total = sum(
             hemispherical(lobe, NORMAL, nodes=HEMISPHERE_NODES, seed=self.seed)[0] @ self.weights
             for lobe in self._bsdf(model).lobes
@@ -522,16 +522,16 @@ def _places(model: Model, share: float, factor: float) -> list[tuple[float, list
     """Return the parts of the surface with all nested mixtures resolved."""
     if not isinstance(model, Mixed):
         return [(share, [(factor, model)])]
-    found = []
+    places = []
     for part, materials in model.mixture:
         combined: list[tuple[float, list[tuple[float, Model]]]] = [(share * part, [])]
         for one, other in materials:
             if one <= 0:
                 continue
             inner = _places(other, 1.0, factor * one)
-            combined = [(a * b, [*left, *right]) for a, left in combined for b, right in inner]
-        found += combined
-    return found
+            combined = [(a * b, [*leading, *right]) for a, leading in combined for b, right in inner]
+        places += combined
+    return places
 
 
 def texture_rows(texture: Texture) -> list[tuple[str, str]]:

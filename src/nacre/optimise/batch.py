@@ -122,11 +122,11 @@ def design_batch(
         if folder is not None:
             folder.write("interrupted" if isinstance(error, KeyboardInterrupt) else "stopped")
         raise
-    found = [solutions[number] for number in range(len(rows))]
+    ordered = [solutions[number] for number in range(len(rows))]
     if folder is None:
-        return BatchDesign(found, [], None)
+        return BatchDesign(ordered, [], None)
     folder.write("done")
-    return BatchDesign(found, folder.rows, folder.folder)
+    return BatchDesign(ordered, folder.rows, folder.folder)
 
 
 def _targets(task: Task, row: ColourRow) -> tuple[Target, ...]:
@@ -173,8 +173,8 @@ def _solve(
     if stacks and thin_film_search_many(stacks, numbers, evaluate_stack):
         return
     remaining = [tasks[number] for number in numbers]
-    for index, found in run_jobs(_search, None, remaining, workers, start_workers_s=START_WORKERS_S):
-        collect(numbers[index], *found)
+    for index, solution in run_jobs(_search, None, remaining, workers, start_workers_s=START_WORKERS_S):
+        collect(numbers[index], *solution)
 
 
 def _search(_: None, task: Task) -> tuple[dict[str, Any], list[TargetResult], dict[str, Any]]:
@@ -253,15 +253,15 @@ class _BatchFolder:
         if not path.exists():
             return None
         try:
-            found = json.loads(read_text(path, "summary"))
-            rows, folders = found["rows"], found.get("folders", [])
+            summary = json.loads(read_text(path, "summary"))
+            rows, folders = summary["rows"], summary.get("folders", [])
             if not (
                 isinstance(folders, list) and isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
             ):
                 raise TypeError
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError, NacreError):
             raise _foreign(self.folder, SUMMARY) from None
-        return dict(found)
+        return dict(summary)
 
     @property
     def done(self) -> list[int]:
@@ -301,13 +301,13 @@ class _BatchFolder:
 
     def earlier(self, tasks: Sequence[Task]) -> dict[int, Solution]:
         """Return an earlier run's solutions, with their evaluation; a damaged row is forgotten."""
-        found = {}
+        solutions = {}
         for number in self.done:
             try:
-                found[number] = self._read(number, self._documents[number], tasks[number])
+                solutions[number] = self._read(number, self._documents[number], tasks[number])
             except (KeyError, TypeError, ValueError, AttributeError, NacreError):
                 del self._documents[number]
-        return found
+        return solutions
 
     def _read(self, number: int, one: dict[str, Any], task: Task) -> Solution:
         pairs = [
@@ -374,17 +374,17 @@ def folder_names(names: Sequence[str]) -> list[str]:
 
     Example: `folder_names(["RAL 3020 / matt", "", "RAL 3020, matt"])` is ["RAL-3020-matt", "2", "RAL-3020-matt-2"].
     """
-    taken = {TABLE, SUMMARY}
-    found = []
+    used = {TABLE, SUMMARY}
+    unique = []
     for number, name in enumerate(names, start=1):
         plain = re.sub(r"[^\w.+]+", "-", name).strip("-.")[:MAX_NAME_LENGTH] or str(number)
         chosen, turn = plain, 1
-        while chosen.lower() in taken:
+        while chosen.lower() in used:
             turn += 1
             chosen = f"{plain}-{turn}"
-        taken.add(chosen.lower())
-        found.append(chosen)
-    return found
+        used.add(chosen.lower())
+        unique.append(chosen)
+    return unique
 
 
 def _table(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -169,8 +169,8 @@ class DesignFolder(abc.ABC, Generic[Answer]):
             self.write_running(self.write_best(worst, changes))
             self.save([changes])
         if self._progress is not None:
-            left, evaluations = max(self.left_s, 0.0), self.search.budget.used
-            self._progress(DesignProgress(worst, self.spent_s, left, evaluations, self.search.description, changes))
+            rest_s, evaluations = max(self.left_s, 0.0), self.search.budget.used
+            self._progress(DesignProgress(worst, self.spent_s, rest_s, evaluations, self.search.description, changes))
 
     def save(self, solutions: Sequence[Changes]) -> None:
         """Write the checkpoint.

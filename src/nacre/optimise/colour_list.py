@@ -90,29 +90,29 @@ def read_colours(
         return _recognised_rows(path, targets, light or DEFAULT_LIGHT) or _file_rows(
             path, targets, light, geometries, quantities
         )
-    found = floats(labs, "labs")
-    if found.size == 0 and found.shape[:1] == (0,):
+    colours = floats(labs, "labs")
+    if colours.size == 0 and colours.shape[:1] == (0,):
         return []
-    if found.ndim == 2 and found.shape[-1] == 3:
-        found = np.repeat(found[:, None], targets, axis=1)
-    if found.ndim != 3 or found.shape[1:] != (targets, 3):
+    if colours.ndim == 2 and colours.shape[-1] == 3:
+        colours = np.repeat(colours[:, None], targets, axis=1)
+    if colours.ndim != 3 or colours.shape[1:] != (targets, 3):
         raise NacreError(f"labs has shape {list(np.shape(labs))}; it should be [n, 3] or [n, {targets}, 3]")
-    for number, lab in enumerate(found.reshape(-1, 3)):
+    for number, lab in enumerate(colours.reshape(-1, 3)):
         where = f"labs[{number // targets}]"
         if not np.isfinite(lab).all():
             raise NacreError(f"{where} = {lab.tolist()} should hold finite numbers")
         plausible(lab, where, lab.tolist())
-    return [ColourRow("", row) for row in found]
+    return [ColourRow("", row) for row in colours]
 
 
 def _recognised_rows(path: Path, targets: int, light: tuple[str, str]) -> list[ColourRow]:
     """Return the colours of a file that is a known colour list or a table of spectra; empty for plain tables."""
     if size_of(path) == 0:
         return []
-    found = recognise(path)
-    if found and found[0][1].id == "other":
+    formats = recognise(path)
+    if formats and formats[0][1].id == "other":
         open_file(path)  # refuses it by name
-    if not found or found[0][0] <= POSSIBLE or found[0][1].kind not in ("colours", "spectrum"):
+    if not formats or formats[0][0] <= POSSIBLE or formats[0][1].kind not in ("colours", "spectrum"):
         return []
     names, lab = _adapted(path, open_file(path), light, is_checked=False)
     return [ColourRow(name, np.repeat(colour[None], targets, axis=0)) for name, colour in zip(names, lab, strict=True)]
@@ -137,8 +137,8 @@ def _file_rows(
         raise NacreError(f"{path}: contains {count} rows; at most {MAX_ROWS} are allowed")
     if table is not None:
         table, numbers = _without_texture(table, quantities)
-        found = _rows_of_table(table, targets, light, geometries)
-        return [replace(row, texture=each) for row, each in zip(found, numbers, strict=True)] if numbers else found
+        colours = _rows_of_table(table, targets, light, geometries)
+        return [replace(row, texture=each) for row, each in zip(colours, numbers, strict=True)] if numbers else colours
     if lines and not any(as_float(cell) is not None for cell in lines[0][1]):
         number, heading = lines.pop(0)
         if lines or not _names_colours(heading):
@@ -162,11 +162,11 @@ def _adapted(
     path: Path, measurements: Sequence[Measurement], light: tuple[str, str], is_checked: bool = True
 ) -> tuple[list[str], Array]:
     """Return names and CIELAB `[colour, 3]` under the light; warn about the conversion."""
-    names, lab, said = named_lab(path, measurements, *light)
+    names, lab, remarks = named_lab(path, measurements, *light)
     for number, colour in enumerate(() if is_checked else lab, start=1):
         plausible(colour, f"{path}: colour {number}", colour.round(3).tolist())
-    if said:
-        logger.warning("%s: %s", path, "; ".join(said))
+    if remarks:
+        logger.warning("%s: %s", path, "; ".join(remarks))
     return names, lab
 
 
@@ -239,12 +239,12 @@ def _without_texture(table: TextTable, quantities: Sequence[str]) -> tuple[TextT
         for line, value in zip(table.lines, column, strict=True):
             if value <= 0:
                 raise RecipeError(f"{table.path}: line {line}: {name} = {value:g} is not above 0")
-    keep = [place for place in range(len(table.headings)) if place not in places.values()]
+    others = [place for place in range(len(table.headings)) if place not in places.values()]
     rest = replace(
         table,
-        headings=tuple(table.headings[place] for place in keep),
-        units=tuple(table.units[place] for place in keep),
-        rows=[[row[place] for place in keep] for row in table.rows],
+        headings=tuple(table.headings[place] for place in others),
+        units=tuple(table.units[place] for place in others),
+        rows=[[row[place] for place in others] for row in table.rows],
     )
     return rest, [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)]
 
@@ -265,7 +265,7 @@ def _groups(table: TextTable) -> tuple[int | None, list[_Group]]:
         RecipeError: headings that are unknown or repeated, or do not name a colour.
     """
     where = f"{table.path}: line {table.heading_line}"
-    found: dict[tuple[float | None, int | None, str], dict[str, tuple[int, Meaning]]] = {}
+    by_meaning: dict[tuple[float | None, int | None, str], dict[str, tuple[int, Meaning]]] = {}
     name: int | None = None
     unused: list[str] = []
     unknown: list[str] = []
@@ -278,7 +278,7 @@ def _groups(table: TextTable) -> tuple[int | None, list[_Group]]:
             else:
                 (unused if each or not heading else unknown).append(heading)
             continue
-        group = found.setdefault((colour.angle_deg, colour.number, colour.mode), {})
+        group = by_meaning.setdefault((colour.angle_deg, colour.number, colour.mode), {})
         if colour.quantity in group:
             raise RecipeError(f"{where}: {show_value(heading)} stands twice; name the angle of each, as in L*(15 deg)")
         group[colour.quantity] = (place, colour)
@@ -288,12 +288,12 @@ def _groups(table: TextTable) -> tuple[int | None, list[_Group]]:
             next(iter(group.values()))[1],
             group["hue"][1].unit if "hue" in group else "",
         )
-        for group in found.values() if any(form <= set(group) for form in FORMS)
+        for group in by_meaning.values() if any(form <= set(group) for form in FORMS)
     ]  # fmt: skip
-    if not groups or len(groups) < len(found):
-        shown = show_value(", ".join(table.headings))
-        more = "; Hunter Lab is not read" if any("hunter" in q for group in found.values() for q in group) else ""
-        raise RecipeError(f"{where}: heading {shown} does not name L, a, b (or L, C, h; X, Y, Z; hex){more}")
+    if not groups or len(groups) < len(by_meaning):
+        headings = show_value(", ".join(table.headings))
+        more = "; Hunter Lab is not read" if any("hunter" in q for group in by_meaning.values() for q in group) else ""
+        raise RecipeError(f"{where}: heading {headings} does not name L, a, b (or L, C, h; X, Y, Z; hex){more}")
     if unknown:
         raise RecipeError(f"{where}: {show_value(', '.join(unknown))} is not a known column; delete it or name it")
     if unused:
@@ -311,9 +311,9 @@ def _for_targets(table: TextTable, groups: list[_Group], targets: int, geometrie
     angles = [group.meaning.angle_deg for group in groups]
     if len(groups) == 1 or None in angles:
         return groups
-    wanted = [float(found[0]) if (found := re.findall(r"-?\d+(?:\.\d+)?", each)) else math.nan for each in geometries]
-    if sorted(wanted) == sorted(float(angle) for angle in angles if angle is not None):
-        return [groups[angles.index(angle)] for angle in wanted]
+    goals_deg = [float(m[0]) if (m := re.search(r"-?\d+(?:\.\d+)?", each)) else math.nan for each in geometries]
+    if sorted(goals_deg) == sorted(float(angle) for angle in angles if angle is not None):
+        return [groups[angles.index(angle)] for angle in goals_deg]
     logger.warning("%s: the colours at %s degrees are taken for the targets in this order", table.path, angles)
     return groups
 
@@ -338,26 +338,26 @@ def _measurement(table: TextTable, group: _Group, names: list[str], light: tuple
         hue = columns["hue"] * (1.0 if group.hue_unit in ("", "deg") else UNITS[group.hue_unit][1])
         lab = np.asarray(lch_to_lab(np.stack([columns["L"], columns["C"], hue], axis=-1)))
         columns = {"L": lab[:, 0], "a": lab[:, 1], "b": lab[:, 2]}
-    keep = "Lab" if "a" in columns else "XYZ"
-    if keep == "XYZ" and len(columns["Y"]) and 0.0 < columns["Y"].max() <= MOST_UNIT_Y:
+    letters = "Lab" if "a" in columns else "XYZ"
+    if letters == "XYZ" and len(columns["Y"]) and 0.0 < columns["Y"].max() <= MOST_UNIT_Y:
         columns = {quantity: 100.0 * values for quantity, values in columns.items()}
         logger.warning("%s: Y of white = 1, because no Y is above %g", table.path, MOST_UNIT_Y)
-    return Measurement(table.path, "colours", {letter: columns[letter] for letter in keep}, "", metadata)
+    return Measurement(table.path, "colours", {letter: columns[letter] for letter in letters}, "", metadata)
 
 
 def _column(table: TextTable, place: int) -> Array:
-    found = []
+    numbers = []
     for row, line in zip(table.rows, table.lines, strict=True):
         value = number_of(row[place], table.grouping)
         if row[place] == "":
             filled = sum(bool(cell) for cell in row)
-            said = show_value(", ".join(cell for cell in row if cell))
+            cells = show_value(", ".join(cell for cell in row if cell))
             rule = f"has {filled} cells, fewer than the heading needs for L, a, b"
-            raise RecipeError(f"{table.path}: line {line}: {said} {rule}")
+            raise RecipeError(f"{table.path}: line {line}: {cells} {rule}")
         if value is None or not math.isfinite(value):
             raise RecipeError(f"{table.path}: line {line}: {show_value(row[place])} is not a number")
-        found.append(value)
-    return np.array(found)
+        numbers.append(value)
+    return np.array(numbers)
 
 
 def cells_of(text: str) -> Iterator[tuple[int, list[str]]]:
@@ -394,12 +394,12 @@ def _with_point(cell: str) -> str:
 
 def _row(cells: Sequence[str], targets: int, where: str) -> ColourRow:
     """Return the colours of a row without headings."""
-    given = show_value(", ".join(cells))
+    text = show_value(", ".join(cells))
     has_name = len(cells) % 3 == 1
     name, words = (cells[0] if has_name else ""), list(cells[has_name:])
     if len(words) not in (3, 3 * targets):
         form = "L, a, b, or name, L, a, b" + ("" if targets == 1 else f", or {targets} such triples")
-        raise RecipeError(f"{where}: {given} should hold {form}")
+        raise RecipeError(f"{where}: {text} should hold {form}")
     numbers = [as_float(word) for word in words]
     for word, number in zip(words, numbers, strict=True):
         if number is None or not math.isfinite(number):

@@ -82,21 +82,21 @@ class TargetResult:
 
     def document(self, observer: str) -> dict[str, Any]:
         """Return the result as JSON data."""
-        found: dict[str, Any] = {"geometry": str(self.target.geometry), "lamp": self.lamp, "asked": self.target.asked}
+        data: dict[str, Any] = {"geometry": str(self.target.geometry), "lamp": self.lamp, "asked": self.target.asked}
         if self.number is not None:
-            found |= {"reached": {str(self.target.geometry): self.number}, "de00": None, "off_percent": self.distance}
+            data |= {"reached": {str(self.target.geometry): self.number}, "de00": None, "off_percent": self.distance}
         elif self.lab is None or self.lamp is None:
-            found |= {"reached": None, "de00": None, "rms_percent": self.distance}
+            data |= {"reached": None, "de00": None, "rms_percent": self.distance}
         else:
             white = white_xyz(self.lamp, observer)
             assert self.target_lab is not None
-            found |= {
+            data |= {
                 "asked_lab": self.target_lab.tolist(),
                 "asked_colour": self.target.asked.get("colour") or lab_hex(self.target_lab, white),
                 "reached": {"lab": self.lab.tolist(), "colour": lab_hex(self.lab, white)},
                 "de00": self.distance,
             }
-        return found | {"tolerance": self.target.tolerance, "met": self.is_met, "noise": self.noise}
+        return data | {"tolerance": self.target.tolerance, "met": self.is_met, "noise": self.noise}
 
 
 def lab_hex(lab: Array, white: Array) -> str:
@@ -189,27 +189,27 @@ def _noise(estimates: Sequence[Array], measured: Measurement, targets: Sequence[
 def results_of(measured: Measurement, targets: Sequence[Target], light: LightSpec) -> list[TargetResult]:
     """Return a measurement's results at `geometries_of(targets)`, by target and lamp."""
     geometries, grid = geometries_of(targets), measured.wavelengths_nm
-    found = []
+    results = []
     for target in targets:
         factors = measured.factors[geometries.index(target.geometry)]
         if target.spectrum is not None:
-            found.append(TargetResult(target, None, None, None, _rms(grid, factors, target.spectrum)))
+            results.append(TargetResult(target, None, None, None, _rms(grid, factors, target.spectrum)))
             continue
         if target.texture is not None:
             number = float(factors.mean())
             off = float(abs(texture_deviation(*target.texture, number)))
-            found.append(TargetResult(target, None, None, None, off, number=number))
+            results.append(TargetResult(target, None, None, None, off, number=number))
             continue
         for lamp in light.illuminants[:1] if target.xyz is not None else light.illuminants:
             white = white_xyz(lamp, light.observer)
             # splines between the coarse samples of a Monte Carlo estimate: straight lines are off by dE00 1
             lab = np.asarray(xyz_to_lab(factors @ smooth_weights(grid, lamp, light.observer), white))
-            asked = target.target_lab(white)
-            if asked is None:
+            target_lab = target.target_lab(white)
+            if target_lab is None:
                 assert target.ranges is not None
-                asked = nearest_in_ranges(lab, target.ranges)
-            found.append(TargetResult(target, lamp, lab, asked, float(delta_e_2000(asked, lab))))
-    return found
+                target_lab = nearest_in_ranges(lab, target.ranges)
+            results.append(TargetResult(target, lamp, lab, target_lab, float(delta_e_2000(target_lab, lab))))
+    return results
 
 
 def _rms(wavelengths_nm: Array, factors: Array, wanted: Array) -> float:

@@ -301,8 +301,8 @@ def read_formulation(target: str | Path | Mapping[str, Any]) -> Task:
                 f'{source}: library: dye "{dye.name}" scatters (radius_nm); only dissolved dyes are possible'
             )
     files = {**context.files, **start.context.files}
-    alone = [_paint(task, [each], None) for each in library.pigment] + [_paint(task, [], d) for d in library.dye]
-    for paint in alone:
+    paints = [_paint(task, [each], None) for each in library.pigment] + [_paint(task, [], d) for d in library.dye]
+    for paint in paints:
         files |= paint.material.context.files
     return replace(task, files=files)
 
@@ -383,15 +383,15 @@ class _Paint:
         """
         made = self.made(fractions)
         grid = self.task.merit.wavelengths_nm
-        found = surrogate_radiance(made.model, *aspecular_pairs(self.task.colour_geometries), grid, is_fine)
-        if found is None:
+        radiance = surrogate_radiance(made.model, *aspecular_pairs(self.task.colour_geometries), grid, is_fine)
+        if radiance is None:
             raise UnsupportedError(
                 f"{self.task.context.source}: recipe: this paint has no noise-free model, which a formulation needs: "
                 "an isotropic GGX or smooth interface and flakes without rotation and anisotropy"
             )
-        exact, rest = (np.zeros((len(self.task.geometries), len(grid))) for _ in found)
+        exact, rest = (np.zeros((len(self.task.geometries), len(grid))) for _ in radiance)
         count = len(self.task.colour_geometries)
-        exact[:count], rest[:count] = np.pi * found[0], np.pi * found[1]
+        exact[:count], rest[:count] = np.pi * radiance[0], np.pi * radiance[1]
         if self.task.quantities and (texture or is_fine):
             exact[count:] = (texture(fractions) if texture else self.texture(made, "search"))[:, None]
         return exact, rest
@@ -425,11 +425,11 @@ class _Paint:
 
         def residuals(point: Array) -> Array:
             exact, rest = self.factors(self.fractions(point), False, texture)
-            seen = exact + rest if correction is None else correction.apply(exact, rest)
-            return np.asarray(self.task.merit.residuals(seen))
+            factors = exact + rest if correction is None else correction.apply(exact, rest)
+            return np.asarray(self.task.merit.residuals(factors))
 
-        found = minimise_residuals(residuals, start, max_nfev=steps)
-        return float(np.sqrt(np.mean(residuals(found.point) ** 2))), found.point
+        minimum = minimise_residuals(residuals, start, max_nfev=steps)
+        return float(np.sqrt(np.mean(residuals(minimum.point) ** 2))), minimum.point
 
     @property
     def ends(self) -> Array:
@@ -450,9 +450,9 @@ class _Paint:
             return np.asarray(self.task.merit.residuals(exact + rest))
 
         inside = np.clip(point, EDGE, 1.0 - EDGE)  # an ingredient at a bound may come back
-        found = minimise_residuals(residuals, inside, max_nfev=POLISH_STEPS)
-        polished = float(np.sqrt(np.mean(residuals(found.point) ** 2)))
-        return min((rms, point), (polished, found.point), key=lambda pair: pair[0])
+        minimum = minimise_residuals(residuals, inside, max_nfev=POLISH_STEPS)
+        polished = float(np.sqrt(np.mean(residuals(minimum.point) ** 2)))
+        return min((rms, point), (polished, minimum.point), key=lambda pair: pair[0])
 
     def corrected(self, start: Array, steps: int = CORRECTIONS) -> tuple[float, Array]:
         """Return the rms distance of the doubling method, in tolerances, and its point, by steps of space mapping."""
@@ -540,10 +540,10 @@ class PaintSearch(Search):
         try:
             for one in checkpointer.solutions:
                 stage, names, start, rms, point = (one[key] for key in STATE_KEYS)
-                found = float(rms), np.array(point, dtype=float)
-                if len(found[1]) != len(names) or not np.isfinite([found[0], *found[1]]).all():
+                refined = float(rms), np.array(point, dtype=float)
+                if len(refined[1]) != len(names) or not np.isfinite([refined[0], *refined[1]]).all():
                     raise ValueError
-                self._refined[stage, tuple(names), tuple(start)] = found
+                self._refined[stage, tuple(names), tuple(start)] = refined
         except (KeyError, TypeError, ValueError):
             raise unreadable(checkpointer.folder) from None
 
@@ -594,23 +594,23 @@ class PaintSearch(Search):
         """Refine paints from their starts within the stage's share of the budget; return whether all were refined."""
         share, least = STAGE_SHARES[stage], self.solution_count if stage else 1
         end_time = self.budget.start_time + share * self.budget.seconds
-        found: list[Candidate] = []
+        refined: list[Candidate] = []
         for paint, start in entries:
-            if len(found) >= least and self.budget.is_over(share * self.budget.evaluations, end_time):
+            if len(refined) >= least and self.budget.is_over(share * self.budget.evaluations, end_time):
                 return False
             key = (stage, tuple(each.entry.name for each in paint.ingredients), tuple(start.tolist()))
             if key not in self._refined:
                 self._refined[key] = refine(paint, start)
             self.budget.used += 1  # cached refinements count too: equal budgets then give equal solutions
             rms, point = self._refined[key]
-            found.append((rms, paint, point))
-            self.finalists = sorted(found, key=lambda each: each[0])
+            refined.append((rms, paint, point))
+            self.finalists = sorted(refined, key=lambda each: each[0])
             self.combinations += stage == 0
             self.best, best, point = self.finalists[0]
             self.best_changes = best.amounts(point)
             self.report()
             if self.progress:
-                self.progress(len(found), count, self.best)
+                self.progress(len(refined), count, self.best)
         return True
 
 
@@ -643,29 +643,29 @@ class FormulationFolder(DesignFolder[Formulation]):
 
     def finish(self, result: Result) -> Formulation:
         """Evaluate the finalists and write them."""
-        found = self.search.answers(result)
-        write_formulation(found, self.folder)
-        return found
+        formulation = self.search.answers(result)
+        write_formulation(formulation, self.folder)
+        return formulation
 
 
 def _combinations(task: Task) -> list[tuple[tuple[PigmentSpec, ...], DyeSpec | None]]:
     """Return all sets of pigments with and without a dye."""
     most = min(task.spec.search.max_pigments, len(task.library.pigment))
-    found = [
+    sets = [
         (chosen, dye)
         for count in range(most, -1, -1)
         for chosen in combinations(task.library.pigment, count)
         for dye in (None, *task.library.dye)
         if chosen or dye is not None
     ]
-    if not found:
+    if not sets:
         raise RecipeError(f"{task.context.source}: search.max_pigments = 0, and the library has no dye")
-    if len(found) > MOST_COMBINATIONS:
+    if len(sets) > MOST_COMBINATIONS:
         raise RecipeError(
-            f"{task.context.source}: the library gives {len(found)} combinations; at most {MOST_COMBINATIONS} are "
+            f"{task.context.source}: the library gives {len(sets)} combinations; at most {MOST_COMBINATIONS} are "
             "allowed: shorten it or lower search.max_pigments"
         )
-    return found
+    return sets
 
 
 def _formula(paint: _Paint, fractions: Sequence[float]) -> Formula:
@@ -673,9 +673,9 @@ def _formula(paint: _Paint, fractions: Sequence[float]) -> Formula:
     task = paint.task
     made = paint.made(fractions)
     merit = task.merit
-    seen = np.concatenate([np.pi * _reference(made, task), np.zeros((len(task.quantities), len(merit.wavelengths_nm)))])
     numbers = paint.texture(made, "final") if task.quantities else np.zeros(0)
-    seen[len(task.colour_geometries) :] = numbers[:, None]
+    rows = np.broadcast_to(numbers[:, None], (len(numbers), len(merit.wavelengths_nm)))
+    power = np.concatenate([np.pi * _reference(made, task), rows])
     names = [each.entry.name for each in paint.ingredients]
     amounts = dict(zip(names, map(float, fractions), strict=True))
     resin = task.library.resin
@@ -685,7 +685,7 @@ def _formula(paint: _Paint, fractions: Sequence[float]) -> Formula:
     shares = {name: mass / density for name, mass in masses.items()}
     prices = {each.entry.name: each.entry.cost_per_kg for each in paint.ingredients} | {"resin": resin.cost_per_kg}
     cost = sum(prices[name] * share for name, share in shares.items())
-    distances = np.asarray(merit.distances(seen))
+    distances = np.asarray(merit.distances(power))
     limits = np.array([merit.operands[index].tolerance for index, _ in merit.terms])
     return Formula(
         material=made,
@@ -694,7 +694,7 @@ def _formula(paint: _Paint, fractions: Sequence[float]) -> Formula:
         cost_per_kg=cost,
         cost_per_m2=cost * density * task.thickness_um / 1e3,  # kg/l = kg/m2 for each mm
         de00=distances[task.is_colour],
-        lab=np.asarray(merit.labs(seen))[: len(task.colour_geometries), 0],
+        lab=np.asarray(merit.labs(power))[: len(task.colour_geometries), 0],
         contrast_ratio=_contrast_ratio(made, task),
         is_met=bool(np.all(distances <= limits)),
         distance=float(np.mean(distances * merit.scale)),
@@ -713,8 +713,8 @@ def _amount_errors(paint: _Paint, fractions: Sequence[float]) -> Array:
     """
 
     def labs(at: Array) -> Array:
-        seen = sum(paint.factors(at, True, lambda _: paint.ends))
-        return np.ravel(paint.task.merit.labs(seen)[: len(paint.task.colour_geometries)])
+        factors = sum(paint.factors(at, True, lambda _: paint.ends))
+        return np.ravel(paint.task.merit.labs(factors)[: len(paint.task.colour_geometries)])
 
     centre = np.asarray(fractions, dtype=float)
     steps = RELATIVE_STEP * centre
@@ -732,9 +732,9 @@ def _reference(made: Material, task: Task) -> Array:
     estimate = made.model.estimate_radiance(*pairs, grid, WALKS, task.spec.search.seed)
     if estimate is not None:
         return estimate[0]
-    found = surrogate_radiance(made.model, *pairs, grid, True)
-    assert found is not None
-    return found[0] + found[1]
+    radiance = surrogate_radiance(made.model, *pairs, grid, True)
+    assert radiance is not None
+    return radiance[0] + radiance[1]
 
 
 def _contrast_ratio(made: Material, task: Task) -> float:
@@ -742,11 +742,11 @@ def _contrast_ratio(made: Material, task: Task) -> float:
     light = (task.spec.light.illuminants[0], task.spec.light.observer)
     luminances = []
     for albedo in (BLACK, WHITE):
-        found = surrogate_radiance(
+        radiance = surrogate_radiance(
             made.vary({"base": {"albedo": albedo}}).model, *aspecular_pairs([HIDING]), task.merit.wavelengths_nm, True
         )
-        assert found is not None
-        luminances.append(float(spectrum_to_xyz(found[0] + found[1], task.merit.wavelengths_nm, *light)[0, 1]))
+        assert radiance is not None
+        luminances.append(float(spectrum_to_xyz(radiance[0] + radiance[1], task.merit.wavelengths_nm, *light)[0, 1]))
     return luminances[0] / luminances[1]
 
 
@@ -767,16 +767,16 @@ def rematch(target: str | Path | Mapping[str, Any] | Task, amounts: Mapping[str,
     task = target if isinstance(target, Task) else read_formulation(target)
     pigments = [entry for entry in task.library.pigment if entry.name in amounts]
     dyes = [entry for entry in task.library.dye if entry.name in amounts]
-    known = [entry.name for entry in (*pigments, *dyes)]
+    names_known = [entry.name for entry in (*pigments, *dyes)]
     for name in amounts:
-        if name not in known:
+        if name not in names_known:
             raise NacreError(f'"{name}" is not in the library of {task.context.source}')
-    if len(dyes) > 1 or not known:
+    if len(dyes) > 1 or not names_known:
         raise NacreError("a batch has at least one ingredient and at most one dye")
     dye = dyes[0] if dyes else None
-    seen = _paint(task.with_colours(batch), pigments, dye)
-    start = np.array([each.unit(amounts[each.entry.name]) for each in seen.ingredients])
-    made = np.array(seen.fractions(seen.corrected(start)[1]))
+    estimated = _paint(task.with_colours(batch), pigments, dye)
+    start = np.array([each.unit(amounts[each.entry.name]) for each in estimated.ingredients])
+    made = np.array(estimated.fractions(estimated.corrected(start)[1]))
     task = task.with_targets([each for each in task.targets if each.texture is None])
     paint = _paint(task, pigments, dye)
     exact, rest = paint.factors(made, True)
@@ -800,8 +800,8 @@ def rematch(target: str | Path | Mapping[str, Any] | Task, amounts: Mapping[str,
         correction = Correction(rest, paint.factors(at, False)[1])
 
         def residuals(x: Array, correction: Correction = correction) -> Array:
-            found = correction.apply(*paint.factors(after(added(x)), False))
-            return np.concatenate([np.asarray(task.merit.residuals(found)), ADDITION_COST * x])
+            factors = correction.apply(*paint.factors(after(added(x)), False))
+            return np.concatenate([np.asarray(task.merit.residuals(factors)), ADDITION_COST * x])
 
         moved = minimise_residuals(residuals, unit, max_nfev=COARSE_STEPS).point
         if float(np.max(np.abs(moved - unit))) < REST:
@@ -824,13 +824,13 @@ def rematch(target: str | Path | Mapping[str, Any] | Task, amounts: Mapping[str,
     )
 
 
-def formulation_document(found: Formulation) -> dict[str, Any]:
+def formulation_document(formulation: Formulation) -> dict[str, Any]:
     """Return the result as JSON data."""
     return {
-        "status": found.status,
-        "seconds": round(found.seconds, 2),
-        "combinations": found.combinations,
-        "geometries": list(found.labels),
+        "status": formulation.status,
+        "seconds": round(formulation.seconds, 2),
+        "combinations": formulation.combinations,
+        "geometries": list(formulation.labels),
         "formulas": [
             {
                 "volume_fractions": each.amounts,
@@ -845,7 +845,7 @@ def formulation_document(found: Formulation) -> dict[str, Any]:
                 "contrast_ratio": each.contrast_ratio,
                 "met": each.is_met,
             }
-            for each in found.formulas
+            for each in formulation.formulas
         ],
     }
 
@@ -869,7 +869,7 @@ def check_answers(folder: Path) -> None:
         check_writable(folder / SUMMARY)
 
 
-def write_formulation(found: Formulation, folder: Path) -> None:
+def write_formulation(formulation: Formulation, folder: Path) -> None:
     """Write `formulation.json`, `recipe.toml` for the first solution, and `2/recipe.toml` and so on for the others.
 
     Other solutions from an earlier formulation in the folder are removed. Until all are written, `status` is "started".
@@ -878,13 +878,13 @@ def write_formulation(found: Formulation, folder: Path) -> None:
         NacreError: the folder cannot be written or holds other files of these names.
     """
     check_answers(folder)
-    document = formulation_document(found)
+    document = formulation_document(formulation)
     folder.mkdir(parents=True, exist_ok=True)
     _mark(folder)
-    for number, each in enumerate(found.formulas, start=1):
+    for number, each in enumerate(formulation.formulas, start=1):
         names = write_recipe(folder_of(folder, number), each.material, {}, {}, each.material)[1]
         document["formulas"][number - 1]["files"] = names
-    clear_solutions(folder, len(found.formulas), SUMMARY, "formulas")
+    clear_solutions(folder, len(formulation.formulas), SUMMARY, "formulas")
     write_text(folder / SUMMARY, json.dumps(document, indent=1) + "\n")
 
 

@@ -114,21 +114,21 @@ def parse_parameters(options: Iterable[str]) -> dict[str, Any]:
     Raises:
         RecipeError: an option has another form.
     """
-    found: dict[str, Any] = {}
+    table: dict[str, Any] = {}
     for option in options:
         path, equals, text = (part.strip() for part in option.rpartition("="))
         if not equals or not path or not text:
             raise RecipeError(
                 f'--parameter "{option}" cannot be read; write it like layers[0].thickness_nm=50:400 or substrate=Al,Ag'
             )
-        if path in found:
+        if path in table:
             raise RecipeError(f"--parameter {path} is given twice; keep one")
         ends = [_number_or_text(end) for end in text.split(":")]
         if len(ends) == 2 and all(isinstance(end, float) for end in ends):
-            found[path] = ends
+            table[path] = ends
         else:
-            found[path] = {"choices": [_number_or_text(word) for word in text.split(",")]}
-    return found
+            table[path] = {"choices": [_number_or_text(word) for word in text.split(",")]}
+    return table
 
 
 def _number_or_text(text: str) -> float | str:
@@ -208,13 +208,13 @@ def applicable_geometry(materials: Sequence[Material], geometry: str | None, whe
     others = [other for other in OTHER_GEOMETRIES if other != usual]
     refused: list[RecipeError] = []
     for text in [usual, *others] if geometry is None else [geometry]:
-        found = Geometry.read(text, where, recipe_geometries(materials[0]))
+        candidate = Geometry.read(text, where, recipe_geometries(materials[0]))
         try:
-            check_answers(materials, [found], [where])
+            check_answers(materials, [candidate], [where])
         except RecipeError as error:
             refused.append(error)
         else:
-            return found
+            return candidate
     raise refused[0]
 
 
@@ -296,18 +296,18 @@ def _parameter_gamut(
     if not points:
         raise NacreError(f"{material.context.source}: no point of the gamut can be computed")
     structures = [values_at(parameters, point) for point in points]
-    found = _spectra_gamut(np.array(factors), grid, structures, at, light, tolerance)
-    return replace(found, failed=failed, possible=len(possible) or None)
+    gamut = _spectra_gamut(np.array(factors), grid, structures, at, light, tolerance)
+    return replace(gamut, failed=failed, possible=len(possible) or None)
 
 
 def _variants(material: Material, parameters: Sequence[Parameter]) -> list[Material]:
-    found = []
+    variants = []
     for share in (0.5, 0.99):
         try:
-            found.append(material.vary(values_at(parameters, np.full(len(parameters), share))))
+            variants.append(material.vary(values_at(parameters, np.full(len(parameters), share))))
         except NacreError:
             continue
-    return found
+    return variants
 
 
 def _combinations(parameters: Sequence[Parameter], most: int) -> list[Array]:
@@ -357,8 +357,8 @@ def _stack_gamut(search: ThinFilmSearch, at: Geometry, light: Light, seed: int) 
             d[k] *= min(1.0, problem.max_total_nm / max(float(d[k].sum()), 1e-9))
             layers = [{"material": name, "thickness_nm": float(t)} for name, t in zip(names, d[k])]
             structures.append({"layers": layers, "substrate": below.name})
-        found = powers(n, d, grid, np.radians([at.theta_deg]))
-        part = found.reflectance if at.kind == "specular" else found.transmittance
+        reflected = powers(n, d, grid, np.radians([at.theta_deg]))
+        part = reflected.reflectance if at.kind == "specular" else reflected.transmittance
         factors.append(np.asarray(part[..., 0, :]))
     return _spectra_gamut(np.concatenate(factors), grid, structures, at, light)
 
@@ -469,20 +469,20 @@ def colour_chart(xyz: Array, light: Light, title: str, note: str, marks: ArrayLi
     return gamut_limits_figure(lab, np.asarray(xyz_to_xyy(xyz)), srgb_limits(*light), limits, white, title, note, marks)
 
 
-def gamut_chart(found: Gamut, marks: ArrayLike | None = None, title: str = "") -> Figure:
+def gamut_chart(gamut: Gamut, marks: ArrayLike | None = None, title: str = "") -> Figure:
     """Return the gamut figure; `marks` `[n, 3]` (CIELAB) are drawn as crosses."""
     note = (
-        f"{found.illuminant}, {found.observer} observer; within dE00 {found.tolerance:g} of {len(found.lab)} points: "
-        f"{100 * found.share_of_srgb:.2g} % of sRGB, {100 * found.share_of_optimal:.2g} % of the optimal colours"
+        f"{gamut.illuminant}, {gamut.observer} observer; within dE00 {gamut.tolerance:g} of {len(gamut.lab)} points: "
+        f"{100 * gamut.share_of_srgb:.2g} % of sRGB, {100 * gamut.share_of_optimal:.2g} % of the optimal colours"
     )
-    xyz = np.asarray(lab_to_xyz(found.lab, white_xyz(*found.light)))
-    return colour_chart(xyz, found.light, title or found.geometry, note, marks)
+    xyz = np.asarray(lab_to_xyz(gamut.lab, white_xyz(*gamut.light)))
+    return colour_chart(xyz, gamut.light, title or gamut.geometry, note, marks)
 
 
-def gamut_svg(found: Gamut, marks: ArrayLike | None = None) -> str:
+def gamut_svg(gamut: Gamut, marks: ArrayLike | None = None) -> str:
     """Return the a*b* plane as SVG; a point shows its colour and structure as a tooltip."""
-    white = white_xyz(*found.light)
-    outlines = np.asarray(xyz_to_lab(optimal_limits(*found.light), white)), srgb_limits(*found.light)
+    white = white_xyz(*gamut.light)
+    outlines = np.asarray(xyz_to_lab(optimal_limits(*gamut.light), white)), srgb_limits(*gamut.light)
     scale = 300 / (1.05 * max(float(np.abs(solid[:, 1:]).max()) for solid in outlines))
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
     directions = np.stack([np.cos(turn), np.sin(turn)])
@@ -492,23 +492,23 @@ def gamut_svg(found: Gamut, marks: ArrayLike | None = None) -> str:
         outlines=[solid[np.argmax(solid[:, 1:] @ directions, axis=0)] for solid in outlines],
         points=[
             (lab, lab_hex(lab, white), _lines(structure))
-            for lab, structure in zip(found.lab, found.structures, strict=True)
+            for lab, structure in zip(gamut.lab, gamut.structures, strict=True)
         ],
         marks=[] if marks is None else np.reshape(np.asarray(marks, float), (-1, 3)),
     )
 
 
 def _lines(structure: Mapping[str, Any]) -> list[str]:
-    found = []
+    lines = []
     for path, value in structure.items():
         if isinstance(value, list):
-            found += [f"{layer.get('material')} {layer.get('thickness_nm', 0.0):.4g} nm" for layer in value]
+            lines += [f"{layer.get('material')} {layer.get('thickness_nm', 0.0):.4g} nm" for layer in value]
         else:
-            found.append(f"{path} = {value:.5g}" if isinstance(value, float) else f"{path} = {value}")
-    return found
+            lines.append(f"{path} = {value:.5g}" if isinstance(value, float) else f"{path} = {value}")
+    return lines
 
 
-def gamut_page(found: Gamut, name: str) -> str:
+def gamut_page(gamut: Gamut, name: str) -> str:
     """Return a gamut as a self-contained HTML page: shares, and a chart with tooltips."""
-    title = f"{name}: {found.geometry}, {found.illuminant}"
-    return render_page("gamut.html", title=title, gamut=found, svg=gamut_svg(found))
+    title = f"{name}: {gamut.geometry}, {gamut.illuminant}"
+    return render_page("gamut.html", title=title, gamut=gamut, svg=gamut_svg(gamut))

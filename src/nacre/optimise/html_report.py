@@ -66,10 +66,10 @@ def write_page(folder: Path, task: DesignTask, design: Any, seconds: float, begu
             if number == 1:
                 save_figure(figure, folder / PICTURE, {"target": task.fingerprint})
         solutions.append(_entry(solution, picture, folder, task))
-    left = GAMUT_SHARE * seconds - (clock() - page_begun)
+    remaining_s = GAMUT_SHARE * seconds - (clock() - page_begun)
     # at most as long as the design took
-    left = min(left, max(design.seconds, MIN_GAMUT_S))
-    gamut = _gamut(task, left, design.solutions[0].facts.get("evaluation_s", 0.0))
+    remaining_s = min(remaining_s, max(design.seconds, MIN_GAMUT_S))
+    gamut = _gamut(task, remaining_s, design.solutions[0].facts.get("evaluation_s", 0.0))
     design.summary["seconds"] = round(clock() - begun, 3)
     light, spec = task.spec.light, task.spec.model_dump(exclude_none=True)
     page = render_page(
@@ -113,10 +113,10 @@ def _gamut(task: DesignTask, seconds: float, evaluation_s: float) -> dict[str, A
     few, every = (len(choose(task.material, lamps)) for choose in (search_wavelengths, evaluation_wavelengths))
     if seconds <= 0.0 or (is_direct(task.material.model) and MIN_POINTS * evaluation_s * few / every > seconds):
         return None
-    found = target_gamut(task, seconds)
-    if found is None:
+    result = target_gamut(task, seconds)
+    if result is None:
         return None
-    gamut, marks = found
+    gamut, marks = result
     return {"gamut": gamut, "chart": data_uri(gamut_chart(gamut, marks), DPI), "svg": gamut_svg(gamut, marks)}
 
 
@@ -170,9 +170,9 @@ def _shown_wavelengths(made: Material, lamps: Sequence[str]) -> Array:
     few = search_wavelengths(made, lamps)
     if not is_direct(made.model):
         return few
-    known = evaluation_wavelengths(made, lamps)
+    fine = evaluation_wavelengths(made, lamps)
     lines = [line for lamp in lamps for line in lamp_lines_nm(lamp)]
-    return np.unique([*known[:: max(1, len(known) // len(few))], known[-1], *np.intersect1d(known, lines)])
+    return np.unique([*fine[:: max(1, len(fine) // len(few))], fine[-1], *np.intersect1d(fine, lines)])
 
 
 def _ribbon(first: Geometry, material: Material) -> tuple[Array, list[Geometry], str]:
@@ -207,17 +207,17 @@ def _bars(solution: Solution, task: DesignTask) -> tuple[list[tuple[str, float]]
     unit = {RMS: "rms % ", TEXTURE: "% ", COLOUR: "dE00 "}[kind]
     if details is not None:
         return [(c["path"], c["moves"]) for c in details["costs"]], f"{unit}of one standard deviation"
-    found = solution.facts.get("sensitivity", [])
+    effects = solution.facts.get("sensitivity", [])
     count = len([p for p in numbers_of(solution.material.data) if is_chosen(p, solution.changes, task.parameters)])
-    part = f"\n({len(found)} of {count} numbers, in the time)" if 0 < len(found) < count else ""
-    moves = [(s["path"], s[f"{kind}_of_1_percent"]) for s in found]
+    part = f"\n({len(effects)} of {count} numbers, in the time)" if 0 < len(effects) < count else ""
+    moves = [(s["path"], s[f"{kind}_of_1_percent"]) for s in effects]
     return moves, f"{unit}of a change of 1 %{part}"
 
 
-def _distance(reached: TargetResult) -> str:
-    if reached.number is not None:
-        return f"{reached.distance_text} (within {reached.target.tolerance:g} %)"
-    if reached.lamp is None:
-        return f"rms {reached.distance:.2f} %"
-    noise = f" \u00b1 {reached.noise:.2f}" if reached.noise else ""
-    return f"dE00 {reached.distance:.2f}{noise} (within {reached.target.tolerance:g})"
+def _distance(result: TargetResult) -> str:
+    if result.number is not None:
+        return f"{result.distance_text} (within {result.target.tolerance:g} %)"
+    if result.lamp is None:
+        return f"rms {result.distance:.2f} %"
+    noise = f" \u00b1 {result.noise:.2f}" if result.noise else ""
+    return f"dE00 {result.distance:.2f}{noise} (within {result.target.tolerance:g})"

@@ -69,7 +69,7 @@ def simulate_measurement(
     model = material.model
     texture = [row for row, geometry in enumerate(geometries) if isinstance(geometry, TextureQuantity)]
     spectral = [geometry for geometry in geometries if not isinstance(geometry, TextureQuantity)]
-    asked = [geometry for geometry in spectral if geometry.kind != "aspecular"]
+    by_angle = [geometry for geometry in spectral if geometry.kind != "aspecular"]
     rows = [row for row, geometry in enumerate(geometries) if geometry.kind == "aspecular"]
     wi, wo = aspecular_pairs([geometries[row] for row in rows])
     few = None
@@ -79,7 +79,7 @@ def simulate_measurement(
     if rows and few is None:
         bsdf = model.bsdf(wavelengths_nm)
         wavelengths_nm = bsdf.wavelengths_nm
-    spectra, bsdf = _spectra(material, asked, wavelengths_nm, bsdf, seed)
+    spectra, bsdf = _spectra(material, by_angle, wavelengths_nm, bsdf, seed)
     grid = next(iter(spectra.values())).wavelengths_nm if spectra else np.asarray(wavelengths_nm)
     factors = np.zeros((len(geometries), len(grid)))
     error: Array | None = None
@@ -115,8 +115,8 @@ def simulate_measurement(
 def _direct_values(model: Any, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
     """Return `values_at`, integrated over orders that are narrower than the wavelength steps."""
     own = line_wavelengths(wavelengths_nm, narrowest_line_nm(model))
-    found = values_at(model, wi, wo, own)
-    return None if found is None else on_wavelengths(found, own, wavelengths_nm)
+    values = values_at(model, wi, wo, own)
+    return None if values is None else on_wavelengths(values, own, wavelengths_nm)
 
 
 def surrogate_factors(
@@ -134,14 +134,14 @@ def surrogate_factors(
     if len(texture) + len(rows) < len(geometries):
         return None
     wi, wo = aspecular_pairs([geometries[row] for row in rows])
-    found = surrogate_radiance(material.model, wi, wo, wavelengths_nm, is_fine)
-    if found is None:
+    radiance = surrogate_radiance(material.model, wi, wo, wavelengths_nm, is_fine)
+    if radiance is None:
         return None
     exact, rest = np.zeros((2, len(geometries), len(wavelengths_nm)))
-    exact[rows], rest[rows] = np.pi * found[0], np.pi * found[1]
+    exact[rows], rest[rows] = np.pi * radiance[0], np.pi * radiance[1]
     if texture:
-        asked = [geometry for geometry in geometries if isinstance(geometry, TextureQuantity)]
-        exact[texture] = texture_values(material, asked, 0, "search" if is_fine else "scout")[0][:, None]
+        quantities = [geometry for geometry in geometries if isinstance(geometry, TextureQuantity)]
+        exact[texture] = texture_values(material, quantities, 0, "search" if is_fine else "scout")[0][:, None]
     return exact, rest
 
 
@@ -149,15 +149,15 @@ def _spectra(
     material: Material, geometries: Sequence[Geometry], wavelengths_nm: Array | None, bsdf: Bsdf | None, seed: int
 ) -> tuple[dict[str, Spectrum], Bsdf | None]:
     """Return the spectra of each polarisation at the angles of its geometries."""
-    found: dict[str, Spectrum] = {}
+    spectra: dict[str, Spectrum] = {}
     for state in sorted({at.polarisation for at in geometries}):
         rows = [at for at in geometries if at.polarisation == state]
         if state == "both":
-            found[state], bsdf = _spectrum(material, rows, wavelengths_nm, bsdf, seed)
+            spectra[state], bsdf = _spectrum(material, rows, wavelengths_nm, bsdf, seed)
         else:
             angles = np.unique([at.theta_deg for at in rows])
-            found[state] = material.spectrum(np.radians(angles), wavelengths_nm, state, seed=seed)
-    return found, bsdf
+            spectra[state] = material.spectrum(np.radians(angles), wavelengths_nm, state, seed=seed)
+    return spectra, bsdf
 
 
 def _spectrum(
@@ -165,12 +165,12 @@ def _spectrum(
 ) -> tuple[Spectrum, Bsdf | None]:
     """Return the spectrum at the angles; diffuse light is integrated only if required."""
     angles = np.unique([geometry.theta_deg for geometry in geometries])
-    found = material.model.spectrum(np.radians(angles), wavelengths_nm, "both", seed)
-    if found is not None:
-        return found, bsdf
+    spectrum = material.model.spectrum(np.radians(angles), wavelengths_nm, "both", seed)
+    if spectrum is not None:
+        return spectrum, bsdf
     bsdf = material.model.bsdf(wavelengths_nm) if bsdf is None else bsdf
-    wants_diffuse = any(geometry.kind in ("diffuse", "hemispherical") for geometry in geometries)
-    return bsdf_spectrum(bsdf, np.radians(angles), seed=seed, diffuse=wants_diffuse), bsdf
+    needs_diffuse = any(geometry.kind in ("diffuse", "hemispherical") for geometry in geometries)
+    return bsdf_spectrum(bsdf, np.radians(angles), seed=seed, diffuse=needs_diffuse), bsdf
 
 
 def search_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
@@ -250,19 +250,19 @@ def missing_geometries(material: Material, geometries: Sequence[Geometry]) -> fr
     probe = _probe(material)
     if material.model.traits.is_quick:
         return simulate_measurement(material, geometries, probe).missing
-    asked = [geometry for geometry in geometries if geometry.kind != "aspecular"]
-    angles = np.radians([geometry.theta_deg for geometry in asked])
-    found = material.model.spectrum(angles, probe, "both", 0) if asked else None
-    missing = [geometry for geometry in asked if found is not None and spectrum_at(found, geometry) is None]
-    if found is None:
+    by_angle = [geometry for geometry in geometries if geometry.kind != "aspecular"]
+    angles = np.radians([geometry.theta_deg for geometry in by_angle])
+    spectrum = material.model.spectrum(angles, probe, "both", 0) if by_angle else None
+    missing = [geometry for geometry in by_angle if spectrum is not None and spectrum_at(spectrum, geometry) is None]
+    if spectrum is None:
         bsdf = material.model.bsdf(probe)
         spreads = any(not lobe.is_delta for lobe in bsdf.lobes)
         missing += [geometry for geometry in geometries if geometry.kind in ("aspecular", "diffuse") and not spreads]
-        if asked:
+        if by_angle:
             mirror = bsdf_spectrum(bsdf, angles, diffuse=False)
             missing += [
                 geometry
-                for geometry in asked
+                for geometry in by_angle
                 if geometry.kind in ("specular", "transmitted") and spectrum_at(mirror, geometry) is None
             ]
     return frozenset(missing)

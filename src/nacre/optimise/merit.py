@@ -139,9 +139,9 @@ class MeritFunction:
 
     def labs(self, spectra: ArrayLike) -> Array:
         """Return CIELAB `[..., row, lamp, 3]` of spectra `[..., row, wavelength]`, each against its lamp's white."""
-        seen = np.asarray(spectra, dtype=float)
+        factors = np.asarray(spectra, dtype=float)
         return np.stack(
-            [xyz_to_lab(seen @ weights, white) for weights, white in zip(self.colour_weights, self.whites)], axis=-2
+            [xyz_to_lab(factors @ weights, white) for weights, white in zip(self.colour_weights, self.whites)], axis=-2
         )
 
     def distances(self, spectra: ArrayLike) -> Array:
@@ -152,22 +152,22 @@ class MeritFunction:
         Args:
             spectra: `[..., row, wavelength]`, 1 for white.
         """
-        seen = np.asarray(spectra, dtype=float)
-        labs = self.labs(seen)
-        found = [self._distance(seen, labs, number) for number in range(len(self.terms))]
-        return np.stack(np.broadcast_arrays(*found), axis=-1)
+        factors = np.asarray(spectra, dtype=float)
+        labs = self.labs(factors)
+        columns = [self._distance(factors, labs, number) for number in range(len(self.terms))]
+        return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
-    def _distance(self, seen: Array, labs: Array, number: int) -> Array:
+    def _distance(self, factors: Array, labs: Array, number: int) -> Array:
         index, lamp = self.terms[number]
         operand = self.operands[index]
         lab = labs[..., operand.row, lamp, :]
         if operand.kind == "colour":
             return delta_e_2000(lab, self.lab[number])
         if operand.kind == "spectrum":
-            off = _spectrum_difference(operand, seen)
+            off = _spectrum_difference(operand, factors)
             return 100.0 * np.sqrt(np.mean(off * off, axis=-1))
         if operand.kind == "texture":
-            return np.abs(texture_deviation(operand.low, operand.high, seen[..., operand.row, :].mean(axis=-1)))
+            return np.abs(texture_deviation(operand.low, operand.high, factors[..., operand.row, :].mean(axis=-1)))
         return _distance_to_range(operand, lab)
 
     def objective(self, d: ArrayLike) -> Array:
@@ -185,17 +185,17 @@ class MeritFunction:
         Three for a colour under a lamp, with the length of its dE00; one for a range, which grows on far from the range
         even if the nearest colour is grey; one per wavelength for a spectrum.
         """
-        seen = np.asarray(spectra, dtype=float)
-        labs = self.labs(seen)
+        factors = np.asarray(spectra, dtype=float)
+        labs = self.labs(factors)
         parts = []
         for number, (index, lamp) in enumerate(self.terms):
             operand, scale = self.operands[index], self.scale[number]
             lab = labs[..., operand.row, lamp, :]
             if operand.kind == "spectrum":
-                off = _spectrum_difference(operand, seen)
+                off = _spectrum_difference(operand, factors)
                 parts.append(scale * 100.0 / np.sqrt(off.shape[-1]) * off)
             elif operand.kind == "texture":
-                value = seen[..., operand.row, :].mean(axis=-1)
+                value = factors[..., operand.row, :].mean(axis=-1)
                 parts.append(scale * texture_deviation(operand.low, operand.high, value)[..., None])
             elif operand.kind == "colour":
                 parts.append(scale * delta_e_2000_components(self.lab[number], lab))
@@ -204,19 +204,19 @@ class MeritFunction:
         return np.concatenate(parts, axis=-1)
 
 
-def _spectrum_difference(operand: Operand, seen: Array) -> Array:
+def _spectrum_difference(operand: Operand, factors: Array) -> Array:
     """Return the difference from a target spectrum, 0 if unspecified, scaled to the rms of the specified part."""
     wanted = np.asarray(operand.reflectance, dtype=float)
-    known = np.isfinite(wanted)
-    off = np.where(known, seen[..., operand.row, :] - np.where(known, wanted, 0.0), 0.0)
-    return np.asarray(off * np.sqrt(len(known) / known.sum()))
+    is_specified = np.isfinite(wanted)
+    off = np.where(is_specified, factors[..., operand.row, :] - np.where(is_specified, wanted, 0.0), 0.0)
+    return np.asarray(off * np.sqrt(len(is_specified) / is_specified.sum()))
 
 
 def texture_deviation(low: float | None, high: float | None, value: ArrayLike) -> Array:
     """Return by how many per cent of the nearer end numbers `[...]` leave a range; 0 inside."""
-    found = np.asarray(value, dtype=float)
-    above = np.zeros_like(found) if high is None else np.maximum(found - high, 0.0) / (high or 1.0)
-    below = np.zeros_like(found) if low is None else np.minimum(found - low, 0.0) / (low or 1.0)
+    numbers = np.asarray(value, dtype=float)
+    above = np.zeros_like(numbers) if high is None else np.maximum(numbers - high, 0.0) / (high or 1.0)
+    below = np.zeros_like(numbers) if low is None else np.minimum(numbers - low, 0.0) / (low or 1.0)
     return 100.0 * np.asarray(above + below)
 
 

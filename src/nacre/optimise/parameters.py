@@ -85,13 +85,13 @@ def read_parameters(
     entries = by_path(table, {"min", "max", "choices"}, source, name)
     material = material.with_parts_loaded(entries)
     where = f'{source}: {name}: recipe "{material.name}"'
-    found = {
+    parameters = {
         each: _read(each, entry, material, f'{source}: {name}."{path}"', words)
         for each, (path, entry) in expand_table(material.data, entries, where).items()
     }
-    if len(found) > most:
-        raise RecipeError(f"{source}: {name}: {len(found)} numbers are free; at most {most} are allowed")
-    return tuple(found.values())
+    if len(parameters) > most:
+        raise RecipeError(f"{source}: {name}: {len(parameters)} numbers are free; at most {most} are allowed")
+    return tuple(parameters.values())
 
 
 def _read(path: str, entry: Any, material: Material, where: str, words: bool) -> Parameter:
@@ -287,11 +287,11 @@ def changes_of(material: Material, parameters: Sequence[Parameter], values: Sequ
     for table in sorted(removed, key=_indices, reverse=True):  # from the last: earlier indices stay valid
         holder, last = find_by_path(data, table, source)
         del holder[last]
-    found = {path: value for path, value in changes.items() if not any(is_within(path, other) for other in around)}
+    remaining = {path: value for path, value in changes.items() if not any(is_within(path, other) for other in around)}
     for path in sorted(around):
         holder, last = find_by_path(data, path, source)
-        found[path] = holder[last]
-    return found
+        remaining[path] = holder[last]
+    return remaining
 
 
 def values_of(material: Material, parameters: Sequence[Parameter], changes: Mapping[str, Any]) -> list[Any] | None:
@@ -304,21 +304,21 @@ def values_of(material: Material, parameters: Sequence[Parameter], changes: Mapp
     moved: dict[str, str | None] = {}
     for table in removable.values():
         moved.update(_moved(material, data, table, [p.path for p in parameters]))
-    found = []
+    values = []
     for i, parameter in enumerate(parameters):
         path: str | None = parameter.path
         for table, new in moved.items():
             if is_within(parameter.path, table):
                 path = None if new is None else new + parameter.path[len(table) :]
         if path is None:
-            found.append(0.0 if i in removable else parameter.value(0.5))
+            values.append(0.0 if i in removable else parameter.value(0.5))
             continue
         try:
             holder, last = find_by_path(data, path, material.context.source)
-            found.append(holder[last])
+            values.append(holder[last])
         except (NacreError, KeyError, IndexError):
             return None
-    return found
+    return values
 
 
 def count_tables(material: Material, parameters: Sequence[Parameter], changes: Mapping[str, Any]) -> int:
@@ -357,10 +357,10 @@ def _moved(material: Material, data: Mapping[str, Any], table: str, paths: Seque
 
 
 def _without(entry: Any, paths: Sequence[str]) -> Any:
-    found = copy.deepcopy(entry)
+    stripped = copy.deepcopy(entry)
     for path in paths:
-        set_by_path(found, path, None)
-    return found
+        set_by_path(stripped, path, None)
+    return stripped
 
 
 def _indices(path: str) -> list[int]:

@@ -176,10 +176,10 @@ class Problem:
         """Return the point for recipe changes; None if they are incomplete or out of bounds."""
         values = changes
         if self.removable:
-            found = values_of(self.material, self.parameters, changes)
-            if found is None:
+            numbers = values_of(self.material, self.parameters, changes)
+            if numbers is None:
                 return None
-            values = {p.path: value for p, value in zip(self.parameters, found, strict=True)}
+            values = {p.path: value for p, value in zip(self.parameters, numbers, strict=True)}
         return point_of(self.parameters, values)
 
     def nominal_point(self) -> Array:

@@ -121,8 +121,8 @@ def run(
     with output_folder(folder):
         if task.image_kind:
             module, name = IMAGE_DESIGNS[task.image_kind]
-            found: Design = getattr(importlib.import_module(module), name)(task, checkpointer, begun, progress)
-            return found
+            design: Design = getattr(importlib.import_module(module), name)(task, checkpointer, begun, progress)
+            return design
         return search_of(task, checkpointer, begun, progress, jobs).design(task.context.source)
 
 
@@ -270,8 +270,8 @@ def _finish(task: DesignTask, result: Result, previous_best: dict[str, Any] | No
         raise RecipeError(f"{task.context.source}: no solution can be computed again; this is a bug in nacre")
     _sort(solutions, task, previous_best)
     del solutions[spec.search.solutions :]
-    written = [task.write(folder_of(writer.folder, n), solution) for n, solution in enumerate(solutions, start=1)]
-    return _report(task, written, result, writer)
+    results = [task.write(folder_of(writer.folder, n), solution) for n, solution in enumerate(solutions, start=1)]
+    return _report(task, results, result, writer)
 
 
 def _add(solutions: list[Solution], new: Solution, task: DesignTask) -> None:
@@ -321,19 +321,19 @@ def evaluate_solution(
     begun = clock()
     try:
         made = task.material.vary(changes)
-        results, seen = evaluate(made, task.targets, spec.light, seed=spec.search.seed, seconds=0.5 * seconds)
+        results, measured = evaluate(made, task.targets, spec.light, seed=spec.search.seed, seconds=0.5 * seconds)
     except NacreError:
         return None
-    took = clock() - begun
-    facts: dict[str, Any] = {"evaluation_s": took}
+    duration_s = clock() - begun
+    facts: dict[str, Any] = {"evaluation_s": duration_s}
     with contextlib.suppress(NacreError):
         paths = [p for p in numbers_of(made.data) if is_chosen(p, changes, task.parameters) and made.get(p)]
-        asked = (task.targets, spec.light, spec.search.seed)
-        if 2.0 * took <= max(0.2 * seconds, SHARES.expensive_s) or made.model.traits.is_quick:
-            facts["sensitivity"] = sensitivity(made, paths, *asked, max(0.2 * seconds, min_sensitivity_s), seen)
+        targets = (task.targets, spec.light, spec.search.seed)
+        if 2.0 * duration_s <= max(0.2 * seconds, SHARES.expensive_s) or made.model.traits.is_quick:
+            facts["sensitivity"] = sensitivity(made, paths, *targets, max(0.2 * seconds, min_sensitivity_s), measured)
         if spec.tolerance:
             tolerances = read_tolerances(spec.tolerance, made, task.context.source)
-            facts["yield"] = yield_of(made, tolerances, *asked, 0.3 * seconds, seen)
+            facts["yield"] = yield_of(made, tolerances, *targets, 0.3 * seconds, measured)
     if total := total_thickness_nm(made):
         facts["total_nm"] = total
     return Solution(None, made, changes, results, facts)

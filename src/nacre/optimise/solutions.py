@@ -22,26 +22,26 @@ from nacre.recipe.paths import set_by_path
 from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
 
 
-def take_apart(data: dict[str, Any], taken: list[str]) -> dict[str, str]:
+def take_apart(data: dict[str, Any], used: list[str]) -> dict[str, str]:
     """Replace nested recipes by file names, in place; return name -> text, innermost first.
 
     Args:
         data: a recipe.
-        taken: names that are used already; new ones are added.
+        used: names that are used already; new ones are added.
     """
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for key, value in data.items():
         if isinstance(value, Mapping) and "family" in value:
             inner = dict(value)
-            found |= take_apart(inner, taken)
+            texts |= take_apart(inner, used)
             number, name = 1, f"{key}.toml"
-            while name in taken:
+            while name in used:
                 number += 1
                 name = f"{key}-{number}.toml"
-            taken.append(name)
-            found[name] = dump_toml(inner)
+            used.append(name)
+            texts[name] = dump_toml(inner)
             data[key] = {"recipe": name}
-    return found
+    return texts
 
 
 # Solutions as folders that every command accepts: a recipe, and beside it the files that it names.
@@ -83,8 +83,8 @@ class Solution:
     @property
     def yield_share(self) -> float | None:
         """Yield: manufactured sample share that meet all targets; None without tolerances."""
-        found = self.facts.get("yield")
-        return None if found is None else float(found["share"])
+        details = self.facts.get("yield")
+        return None if details is None else float(details["share"])
 
 
 @dataclass(frozen=True)
@@ -167,8 +167,8 @@ def write_recipe(
     if tolerance:
         data["tolerance"] = all_changes["tolerance"] = dict(tolerance)
     copied: list[str] = []
-    reached = {*start.context.dependencies, *(made.context.dependencies if made is not None else ())}
-    moved = _bring(data, start.context.folder, reached, folder, copied)
+    dependencies = {*start.context.dependencies, *(made.context.dependencies if made is not None else ())}
+    moved = _bring(data, start.context.folder, dependencies, folder, copied)
     for path, name in moved.items():
         set_by_path(data, path, name, start.context.source)
     for name, part in take_apart(data, copied).items():
@@ -185,19 +185,19 @@ def write_recipe(
 
 
 def _bring(
-    data: Any, source: Path, reached: set[Path], target: Path, copied: list[str], path: str = ""
+    data: Any, source: Path, dependencies: set[Path], target: Path, copied: list[str], path: str = ""
 ) -> dict[str, str]:
     """Copy the files named in a recipe; return path -> copy name."""
     if isinstance(data, Mapping):
-        parts = [_bring(v, source, reached, target, copied, f"{path}.{k}".lstrip(".")) for k, v in data.items()]
+        parts = [_bring(v, source, dependencies, target, copied, f"{path}.{k}".lstrip(".")) for k, v in data.items()]
     elif isinstance(data, list):
-        parts = [_bring(v, source, reached, target, copied, f"{path}[{i}]") for i, v in enumerate(data)]
-    elif isinstance(data, str) and data and len(data) < 1024 and (file := _file(source, data)) in reached:
+        parts = [_bring(v, source, dependencies, target, copied, f"{path}[{i}]") for i, v in enumerate(data)]
+    elif isinstance(data, str) and data and len(data) < 1024 and (file := _file(source, data)) in dependencies:
         name = _free_name(file.name, copied)
         copied.append(name)
         if file.suffix == ".toml":
             inner = parse_toml(read_text(file, "recipe"), str(file))
-            for place, other in _bring(inner, file.parent, reached, target, copied).items():
+            for place, other in _bring(inner, file.parent, dependencies, target, copied).items():
                 set_by_path(inner, place, other)
             write_text(target / name, dump_toml(inner))
         elif file != (target / name).resolve():
@@ -215,12 +215,12 @@ def _file(source: Path, name: str) -> Path:
     return Path()
 
 
-def _free_name(name: str, taken: list[str]) -> str:
+def _free_name(name: str, used: list[str]) -> str:
     if name == RECIPE:
         name = "part.toml"
     stem, _, suffix = name.rpartition(".")
     number, chosen = 1, name
-    while chosen in taken:
+    while chosen in used:
         number += 1
         chosen = f"{stem}-{number}.{suffix}"
     return chosen
@@ -297,8 +297,8 @@ def check_folder(out: Path, start: RecipeContext, names: Sequence[str] = WRITTEN
     if start.text and (out / RECIPE).resolve() in used:
         raise RecipeError(f"{out}: holds the recipe that the design starts from; choose another folder with -o")
     earlier = _earlier(out)
-    written = [] if earlier is not None else [*names, *(f"{n}/{RECIPE}" for n in range(2, solutions + 1))]
-    foreign = [name for name in written if (out / name).exists()]
+    outputs = [] if earlier is not None else [*names, *(f"{n}/{RECIPE}" for n in range(2, solutions + 1))]
+    foreign = [name for name in outputs if (out / name).exists()]
     later = [folder_of(out, number) for number in range(2, solutions + 1)]
     foreign += [folder.name for folder in later if os.path.lexists(folder) and not folder.is_dir()]
     for file in start.dependencies:

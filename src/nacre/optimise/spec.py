@@ -138,10 +138,10 @@ class TargetEntry(RecipeModel):
 
     @pydantic.model_validator(mode="after")
     def _one_colour(self) -> TargetEntry:
-        given = [name for name in (*COLOURS, "directions", "quantity") if getattr(self, name) is not None]
+        stated = [name for name in (*COLOURS, "directions", "quantity") if getattr(self, name) is not None]
         ranges = [name for name in RANGES if getattr(self, name) is not None]
-        if len(given) + bool(ranges) != 1:
-            got = " and ".join([*given, *ranges]) or "nothing"
+        if len(stated) + bool(ranges) != 1:
+            got = " and ".join([*stated, *ranges]) or "nothing"
             raise ValueError(
                 f"gives {got}; a target has exactly one of {', '.join(COLOURS)}, quantity, or some of "
                 f"{', '.join(RANGES)}"

@@ -75,8 +75,8 @@ class Target:
 
     def with_lab(self, lab: Array) -> Target:
         """Return the target with another colour."""
-        asked = {"lab": [float(v) for v in lab]}
-        return replace(self, asked=asked, lab=np.asarray(lab, float), xyz=None, ranges=None, spectrum=None)
+        request = {"lab": [float(v) for v in lab]}
+        return replace(self, asked=request, lab=np.asarray(lab, float), xyz=None, ranges=None, spectrum=None)
 
     def with_number(self, value: float | None) -> Target:
         """Return the texture target with another value; None keeps its own."""
@@ -193,44 +193,44 @@ def _target(spec: TargetEntry, key: str, context: RecipeContext, named: Mapping[
             f'{key}.polarisation = "{at.polarisation}" has no effect on "{spec.geometry}"; only specular and '
             "transmitted targets have a polarisation"
         )
-    asked = {name: getattr(spec, name) for name in (*COLOURS, *RANGES) if getattr(spec, name) is not None}
-    asked = {name: list(value) if isinstance(value, tuple) else value for name, value in asked.items()}
-    found: dict[str, Any] = {}
+    request = {name: getattr(spec, name) for name in (*COLOURS, *RANGES) if getattr(spec, name) is not None}
+    request = {name: list(value) if isinstance(value, tuple) else value for name, value in request.items()}
+    fields: dict[str, Any] = {}
     if spec.colour is not None:
-        found["lab"] = srgb_to_lab(spec.colour, f"{key}.colour")
+        fields["lab"] = srgb_to_lab(spec.colour, f"{key}.colour")
     elif spec.lab is not None:
-        found["lab"] = plausible(np.array(spec.lab), f"{key}.lab", spec.lab)
+        fields["lab"] = plausible(np.array(spec.lab), f"{key}.lab", spec.lab)
     elif spec.lch is not None:
-        found["lab"] = plausible(np.asarray(lch_to_lab(spec.lch)), f"{key}.lch", spec.lch)
+        fields["lab"] = plausible(np.asarray(lch_to_lab(spec.lch)), f"{key}.lch", spec.lch)
     elif spec.xyz is not None or spec.xyy is not None:
         name = "xyz" if spec.xyz is not None else "xyy"
-        given = spec.xyz or spec.xyy or (0.0, 0.0, 0.0)
-        if min(given) < 0:
-            raise RecipeError(f"{key}.{name} = {show_value(list(given))} holds a negative number")
-        if name == "xyy" and (given[0] + given[1] > 1 or (given[1] == 0 and given[2] > 0)):
-            raise RecipeError(f"{key}.xyy = {show_value(list(given))} is not a colour: y is above 0, x + y at most 1")
-        luminance = given[1] if name == "xyz" else given[2]
+        xyz = spec.xyz or spec.xyy or (0.0, 0.0, 0.0)
+        if min(xyz) < 0:
+            raise RecipeError(f"{key}.{name} = {show_value(list(xyz))} holds a negative number")
+        if name == "xyy" and (xyz[0] + xyz[1] > 1 or (xyz[1] == 0 and xyz[2] > 0)):
+            raise RecipeError(f"{key}.xyy = {show_value(list(xyz))} is not a colour: y is above 0, x + y at most 1")
+        luminance = xyz[1] if name == "xyz" else xyz[2]
         if at.kind != "aspecular" and luminance > MOST_LUMINANCE:
-            said = f"{key}.{name} = {show_value(list(given))}"
-            raise RecipeError(f"{said}: white has Y = 1, the maximum for {at.kind}; divide by 100")
-        found["xyz"] = np.array(given) if name == "xyz" else np.asarray(xyy_to_xyz(given))
+            where = f"{key}.{name} = {show_value(list(xyz))}"
+            raise RecipeError(f"{where}: white has Y = 1, the maximum for {at.kind}; divide by 100")
+        fields["xyz"] = np.array(xyz) if name == "xyz" else np.asarray(xyy_to_xyz(xyz))
     elif spec.image is not None:
-        found["image"] = read_picture(context.path(spec.image), f"{key}.image = {show_value(spec.image)}")
+        fields["image"] = read_picture(context.path(spec.image), f"{key}.image = {show_value(spec.image)}")
     elif spec.spectrum is not None:
-        found["spectrum"] = _spectrum(spec.spectrum, f"{key}.spectrum", at.kind, context)
+        fields["spectrum"] = _spectrum(spec.spectrum, f"{key}.spectrum", at.kind, context)
     else:
-        found["ranges"] = _ranges(spec, key)
-    return Target(at, asked, spec.tolerance, spec.weight, key, **found)
+        fields["ranges"] = _ranges(spec, key)
+    return Target(at, request, spec.tolerance, spec.weight, key, **fields)
 
 
-def plausible(lab: Array, where: str, given: Any) -> Array:
+def plausible(lab: Array, where: str, value: Any) -> Array:
     """Return a CIELAB colour; refuse an impossible one.
 
     Raises:
         RecipeError: it is darker than black, or far outside the range of lobes.
     """
     if not 0.0 <= lab[0] <= MOST_LIGHTNESS or float(np.hypot(lab[1], lab[2])) > MOST_CHROMA:
-        raise RecipeError(f"{where} = {show_value(list(given))} is not a colour: L* is 0 for black and 100 for white")
+        raise RecipeError(f"{where} = {show_value(list(value))} is not a colour: L* is 0 for black and 100 for white")
     return lab
 
 
@@ -241,74 +241,74 @@ def _texture_target(spec: TargetEntry, key: str, tool: Instrument, light: tuple[
     if spec.polarisation != "both":
         raise RecipeError(f'{key}.polarisation = "{spec.polarisation}" has no effect on {at}; remove it')
     value = spec.value
-    asked = {"quantity": str(at), "value": list(value) if isinstance(value, tuple) else value}
+    request = {"quantity": str(at), "value": list(value) if isinstance(value, tuple) else value}
     if isinstance(value, int | float):
         bounds: tuple[float | None, float | None] = (float(value), float(value))
     else:
         assert value is not None
         bounds = _bounds(value, f"{key}.value", '1.5, ">=1.5", "<=3" or [1.5, 3]')
     if not any(bounds) or bounds[1] == 0.0:
-        raise RecipeError(f"{key}.value = {show_value(asked['value'])} is not above 0; deviations are relative to it")
-    return Target(at, asked, spec.tolerance, spec.weight, key, texture=bounds)
+        raise RecipeError(f"{key}.value = {show_value(request['value'])} is not above 0; deviations are relative to it")
+    return Target(at, request, spec.tolerance, spec.weight, key, texture=bounds)
 
 
-def _bounds(given: str | tuple[float, float], where: str, forms: str) -> tuple[float | None, float | None]:
+def _bounds(text: str | tuple[float, float], where: str, forms: str) -> tuple[float | None, float | None]:
     """Return the ends of ">=40", "<=20" or (20, 40).
 
     Raises:
         RecipeError: another form, or the ends cross.
     """
-    if isinstance(given, str):
-        match = _BOUND.match(given)
+    if isinstance(text, str):
+        match = _BOUND.match(text)
         try:
             bound = float(match[2]) if match else float("nan")
         except ValueError:
             bound = float("nan")
         if match is None or not bound >= 0:
-            raise RecipeError(f"{where} = {show_value(given)} cannot be read; write {forms}")
+            raise RecipeError(f"{where} = {show_value(text)} cannot be read; write {forms}")
         return (bound, None) if match[1] == ">=" else (None, bound)
-    low, high = given
+    low, high = text
     if not 0 <= low <= high:
         raise RecipeError(f"{where} = {show_value([low, high])} is not two ascending numbers of at least 0")
-    return given
+    return text
 
 
 def _ranges(spec: TargetEntry, key: str) -> dict[str, tuple[float | None, float | None]]:
-    found: dict[str, tuple[float | None, float | None]] = {}
+    ranges: dict[str, tuple[float | None, float | None]] = {}
     if spec.hue_deg is not None:
         if not all(-360.0 <= h <= 720.0 for h in spec.hue_deg):
             raise RecipeError(f"{key}.hue_deg = {show_value(list(spec.hue_deg))} should hold angles in degrees")
-        found["hue"] = spec.hue_deg
+        ranges["hue"] = spec.hue_deg
     for name in ("chroma", "lightness"):
-        given = getattr(spec, name)
-        if given is not None:
-            found[name] = _bounds(given, f"{key}.{name}", '">=40", "<=20" or [20, 40]')
-    return found
+        value = getattr(spec, name)
+        if value is not None:
+            ranges[name] = _bounds(value, f"{key}.{name}", '">=40", "<=20" or [20, 40]')
+    return ranges
 
 
-def _spectrum(given: FileSpec, where: str, kind: str, context: RecipeContext) -> Array:
+def _spectrum(entry: FileSpec, where: str, kind: str, context: RecipeContext) -> Array:
     """Return a target spectrum `[2, wavelength]`: nm and factors.
 
     Args:
         kind: the geometry's kind; "transmitted" needs a transmittance, others a reflectance.
     """
-    said = f"{where} = {show_value(given.file)}"
+    path = f"{where} = {show_value(entry.file)}"
     quantities = ("transmittance", "reflectance") if kind == "transmitted" else ("reflectance",)
-    table = recipe_spectrum(context, where.removeprefix(f"{context.source}: "), given, quantities)
+    table = recipe_spectrum(context, where.removeprefix(f"{context.source}: "), entry, quantities)
     nm, values = np.round(table[:, 0], 3), table[:, 1]  # wavelengths of THz or eV are rounded in files
     low, high = float(nm[0]), float(nm[-1])
     if len(nm) < 2 or not LEAST_NM <= low < high <= MOST_NM:
         raise RecipeError(
-            f"{said} holds wavelengths of {low:g} to {high:g} nm, which are not from {LEAST_NM:g} to {MOST_NM:g}; head "
+            f"{path} holds wavelengths of {low:g} to {high:g} nm, which are not from {LEAST_NM:g} to {MOST_NM:g}; head "
             'the column "um" or "angstrom" if it holds those'
         )
     is_valid = (values >= -NOISE_FACTOR) & (values <= MOST_FACTOR)
     visible = (nm >= VISIBLE_NM[0]) & (nm <= VISIBLE_NM[1])
     if not is_valid.all() and visible.sum() > 1 and is_valid[visible].all():  # instruments are noisy at their ends
-        logger.warning("%s: values outside of 0 to 1 beyond %g-%g nm are left out", said, *VISIBLE_NM)
+        logger.warning("%s: values outside of 0 to 1 beyond %g-%g nm are left out", path, *VISIBLE_NM)
         nm, values, is_valid = nm[visible], values[visible], is_valid[visible]
     if not is_valid.all():
-        raise RecipeError(f"{said} should hold factors from 0 to 1; head a column in per cent '%'")
+        raise RecipeError(f"{path} should hold factors from 0 to 1; head a column in per cent '%'")
     return np.ascontiguousarray([nm, np.maximum(values, 0.0)])
 
 
@@ -317,14 +317,14 @@ def _check_agreement(targets: Sequence[Target], light: LightSpec) -> None:
     white = white_xyz(light.illuminants[0], light.observer)
     for i, target in enumerate(targets):
         for other in targets[:i]:
-            mine, theirs = target.target_lab(white), other.target_lab(white)
-            if target.geometry != other.geometry or mine is None or theirs is None:
+            own_lab, other_lab = target.target_lab(white), other.target_lab(white)
+            if target.geometry != other.geometry or own_lab is None or other_lab is None:
                 continue
-            apart = float(delta_e_2000(theirs, mine))
-            if apart > target.tolerance + other.tolerance:
+            difference = float(delta_e_2000(other_lab, own_lab))
+            if difference > target.tolerance + other.tolerance:
                 raise RecipeError(
                     f'{target.key} and {other.key.rpartition(" ")[2]} give two colours at "{target.geometry}", dE00 '
-                    f"{apart:.1f} apart; within {target.tolerance:g} and {other.tolerance:g} no answer has both"
+                    f"{difference:.1f} apart; within {target.tolerance:g} and {other.tolerance:g} no answer has both"
                 )
 
 

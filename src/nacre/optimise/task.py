@@ -146,8 +146,8 @@ class DesignTask(Task):
         Raises:
             NacreError: the folder cannot be written.
         """
-        found = Solution(None, self.material.vary(changes), changes, results, facts)
-        return found if folder is None else self.write(folder, found)
+        solution = Solution(None, self.material.vary(changes), changes, results, facts)
+        return solution if folder is None else self.write(folder, solution)
 
     def write(self, folder: Path, solution: Solution) -> Solution:
         """Write the recipe of a solution with its tolerances and files; return the solution with its recipe.
@@ -165,11 +165,11 @@ class DesignTask(Task):
             return {}
         tolerances = read_tolerances(self.spec.tolerance, solution.material, self.context.source)
         own = dict(solution.material.data.get("tolerance", {}))
-        found: dict[str, Any] = {}
+        table: dict[str, Any] = {}
         for t in tolerances:
             entry = {"deviation": t.deviation, "distribution": t.distribution} | ({"group": t.group} if t.group else {})
-            found[t.path] = [*found[t.path], entry] if t.path in found else [entry]
-        return own | {path: entries[0] if len(entries) == 1 else entries for path, entries in found.items()}
+            table[t.path] = [*table[t.path], entry] if t.path in table else [entry]
+        return own | {path: entries[0] if len(entries) == 1 else entries for path, entries in table.items()}
 
     def check_overwriting(self, folder: Path, names: Sequence[str]) -> None:
         """Refuse to overwrite the pictures of the target by its maps and other files of a folder.
@@ -178,9 +178,9 @@ class DesignTask(Task):
             RecipeError: a picture would be overwritten.
         """
         maps = [f"{map_stem(p.path)}.png" for p in self.parameters]
-        written = {(folder / name).resolve() for name in (*names, *maps)}
+        outputs = {(folder / name).resolve() for name in (*names, *maps)}
         for image in (entry.image for entry in self.spec.target):
-            if image is not None and real(self.context.path(image)) in written:
+            if image is not None and real(self.context.path(image)) in outputs:
                 raise RecipeError(f"{folder}: contains {image}, which would be overwritten; choose another with -o")
 
     @property
@@ -197,10 +197,10 @@ class DesignTask(Task):
         if self.spec.layers is not None:
             tried += [{"layers": [{"material": e, "thickness_nm": 1.0}]} for e in self.spec.layers.palette]
             tried += [{"substrate": entry} for entry in substrates(self.spec.layers)]
-        found: dict[str, str] = {}
+        files: dict[str, str] = {}
         for changes in tried:
-            found |= self.material.vary(changes).context.files
-        return found
+            files |= self.material.vary(changes).context.files
+        return files
 
 
 def with_method_overrides(start: Material, changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -281,10 +281,10 @@ def check_task(data: dict[str, Any], context: RecipeContext) -> DesignTask:
         read_tolerances(spec.tolerance, base, source)
     if spec.limits.within_validity:
         raise RecipeError(f"{source}: limits.within_validity = true applies to heights of reliefs")
-    found = DesignTask(spec, context, base, targets, parameters)
-    if found.image_kind == "hologram":
+    task = DesignTask(spec, context, base, targets, parameters)
+    if task.image_kind == "hologram":
         check_hologram(spec, targets, source)
-        return found
+        return task
     turned = next((k for k, entry in enumerate(spec.target) if entry.light_azimuth_deg), None)
     if turned is not None:
         raise RecipeError(
@@ -300,8 +300,8 @@ def check_task(data: dict[str, Any], context: RecipeContext) -> DesignTask:
         check_picture_target(spec, base, parameters, source)
     else:
         check_limits(spec, base, parameters, source)
-    _check_geometries(found)
-    return found
+    _check_geometries(task)
+    return task
 
 
 def task_geometries(spec: DesignSpec, recipe: Mapping[str, Any], context: RecipeContext) -> dict[str, Geometry]:
@@ -331,9 +331,9 @@ def _recipe(spec: DesignSpec, context: RecipeContext) -> Material:
                 data["substrate"] = substrates(spec.layers)[0]
         return material(data, folder).at_low_fidelity(is_corrected=True)
     except NacreError as error:
-        said = str(error).removeprefix("recipe: ").removeprefix(f"{context.source}: ")
+        message = str(error).removeprefix("recipe: ").removeprefix(f"{context.source}: ")
         raise RecipeError(
-            f"{context.source}: " + (said if said.startswith("layers: ") else f"recipe: {said}")
+            f"{context.source}: " + (message if message.startswith("layers: ") else f"recipe: {message}")
         ) from None
 
 
@@ -361,18 +361,18 @@ def check_layers(layers: LayersSpec, base: Material, source: str) -> None:
             check_index(value, f"{source}: layers.{name}", base.context)
         if not values and name == "substrate" and layers.substrate is not None:
             raise RecipeError(f"{source}: layers.substrate = [] names no substrate")
-    given = layers.thickness_nm
+    limits = layers.thickness_nm
     names = [palette_name(entry) for entry in layers.palette]
-    bounds = given if isinstance(given, dict) else {OTHER: given}
+    bounds = limits if isinstance(limits, dict) else {OTHER: limits}
     for word, (low, high) in bounds.items():
-        where = f"{source}: layers.thickness_nm" + (f".{word}" if isinstance(given, dict) else "")
+        where = f"{source}: layers.thickness_nm" + (f".{word}" if isinstance(limits, dict) else "")
         if word != OTHER and word not in names:
             hint = did_you_mean(word, [*names, OTHER])
             raise RecipeError(f"{where}: the palette has no such name.{hint} Palette: {', '.join(names)}")
         if not 0.0 <= low < high:
             raise RecipeError(f"{where} = {show_value([low, high])}: the bounds cross, or lie below 0")
-    if isinstance(given, dict) and OTHER not in given:
-        missing = [name for name in names if name not in given]
+    if isinstance(limits, dict) and OTHER not in limits:
+        missing = [name for name in names if name not in limits]
         if missing:
             raise RecipeError(
                 f'{source}: layers.thickness_nm has no bounds for "{missing[0]}"; add it, or other = [5, 250]'
@@ -415,10 +415,10 @@ def check_index(value: Any, where: str, context: RecipeContext) -> IndexSpec:
         RecipeError: it is not known; with a suggestion.
     """
     try:
-        found: IndexSpec = validate(_Holder, {"value": value}, RecipeContext("", context.folder)).value
+        index: IndexSpec = validate(_Holder, {"value": value}, RecipeContext("", context.folder)).value
     except RecipeError as error:
         raise RecipeError(f"{where}: {str(error).removeprefix(': ').removeprefix('value').strip(' =.:')}") from None
-    return found
+    return index
 
 
 def _check_geometries(target: DesignTask) -> None:

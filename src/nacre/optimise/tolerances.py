@@ -82,10 +82,10 @@ class Component:
 
 def components(tolerances: Sequence[Tolerance]) -> tuple[Component, ...]:
     """Return the independent causes of variation in order of their first tolerance."""
-    found: dict[tuple[str, str], list[Tolerance]] = {}
+    groups: dict[tuple[str, str], list[Tolerance]] = {}
     for each in tolerances:
-        found.setdefault(("group", each.group) if each.group else ("path", each.path), []).append(each)
-    return tuple(Component(name, tuple(members)) for (_, name), members in found.items())
+        groups.setdefault(("group", each.group) if each.group else ("path", each.path), []).append(each)
+    return tuple(Component(name, tuple(members)) for (_, name), members in groups.items())
 
 
 def values_at(causes: Sequence[Component], factors: Array) -> dict[str, Array]:
@@ -138,9 +138,9 @@ def read_tolerances(table: Any, material: Material, source: str, name: str = "to
     """
     entries = by_path(table, {"deviation", "percent"}, source, name)
     material = material.with_parts_loaded(entries)
-    found = expand_table(material.data, entries, f'{source}: {name}: recipe "{material.name}"')
+    expanded = expand_table(material.data, entries, f'{source}: {name}: recipe "{material.name}"')
     read = []
-    for path, (_, entry) in found.items():
+    for path, (_, entry) in expanded.items():
         where = f'{source}: {name}."{path}"'
         rows = entry if isinstance(entry, list) else [entry]
         if not rows:
@@ -166,7 +166,7 @@ def _correlated(read: list[Tolerance], material: Material, source: str) -> list[
     entries = material.data.get("correlation", ())
     if not isinstance(entries, list | tuple):
         raise RecipeError(f"{source}: correlation = {show_value(entries)} should be a list of tables")
-    found = list(read)
+    independent = list(read)
     for number, entry in enumerate(entries):
         where = f"{source}: correlation[{number}]"
         if (
@@ -178,22 +178,22 @@ def _correlated(read: list[Tolerance], material: Material, source: str) -> list[
         paths = list(expand_table(material.data, {str(p): p for p in entry["of"]}, f"{where}.of"))
         if len(paths) < 2 or len(set(map(str, entry["of"]))) < len(entry["of"]):
             raise RecipeError(f"{where}.of = {show_value(entry['of'])} should name two numbers or more, each once")
-        members = [[each for each in found if each.path == path] for path in paths]
+        members = [[each for each in independent if each.path == path] for path in paths]
         for path, own in zip(paths, members, strict=True):
             if len(own) != 1 or own[0].group or own[0].distribution != "gaussian":
                 raise RecipeError(f'{where}.of: "{path}" needs one gaussian tolerance without a group')
         ordered = [own[0] for own in members]
         modes = _modes(entry["matrix"], len(ordered), f"{where}.matrix")
-        found = [each for each in found if each.path not in paths]
+        independent = [each for each in independent if each.path not in paths]
         for mode, column in enumerate(modes.T, start=1):
             cause = ordered[0].source if len({each.source for each in ordered}) == 1 else ""
             group = f"mode {mode} of correlation[{number}]"
-            found += [
+            independent += [
                 replace(each, deviation=float(each.deviation * share), group=group, source=cause)
                 for each, share in zip(ordered, column, strict=True)
                 if share != 0.0
             ]
-    return found
+    return independent
 
 
 def _modes(matrix: Any, size: int, where: str) -> Array:
@@ -216,8 +216,8 @@ def _modes(matrix: Any, size: int, where: str) -> Array:
         if not holds():
             raise RecipeError(f"{where} = {show_value(matrix)} {rule.format(size)}")
     eigenvalues, vectors = np.linalg.eigh(values)
-    found: Array = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))[:, ::-1]
-    return found[:, eigenvalues[::-1] > -LEAST_EIGENVALUE]
+    modes: Array = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))[:, ::-1]
+    return modes[:, eigenvalues[::-1] > -LEAST_EIGENVALUE]
 
 
 def _read(material: Material, path: str, value: Any, where: str) -> Tolerance:
@@ -235,8 +235,8 @@ def _read(material: Material, path: str, value: Any, where: str) -> Tolerance:
         known_only(value, ToleranceSpec, where)
         distribution = value.get("distribution", "gaussian")
         if distribution not in DISTRIBUTIONS:
-            known = ", ".join(DISTRIBUTIONS)
-            raise RecipeError(f"{where}.distribution = {show_value(distribution)}; known: {known}")
+            allowed = ", ".join(DISTRIBUTIONS)
+            raise RecipeError(f"{where}.distribution = {show_value(distribution)}; known: {allowed}")
         cause = value.get("source", "")
         if not isinstance(cause, str):
             raise RecipeError(f"{where}.source = {show_value(cause)} should be a word")

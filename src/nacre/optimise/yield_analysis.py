@@ -59,8 +59,8 @@ class Evaluator:
         grid = search_wavelengths(material, light.illuminants)
         correction = None
         if measured is not None and measured.error is not None and np.array_equal(measured.wavelengths_nm, grid):
-            found = surrogate_factors(material, geometries, grid)
-            correction = None if found is None else Correction(measured.factors - found[0], found[1])
+            factors = surrogate_factors(material, geometries, grid)
+            correction = None if factors is None else Correction(measured.factors - factors[0], factors[1])
         return cls(material, targets, grid, merit_function(targets, geometries, light, grid), seed, correction)
 
     def at_once(self, paths: Sequence[str], values: Array) -> Array | None:
@@ -75,8 +75,8 @@ class Evaluator:
         """
         made = self.material.vary({path: float(v) for path, v in zip(paths, row, strict=True)})
         geometries = geometries_of(self.targets)
-        if self.correction is not None and (found := surrogate_factors(made, geometries, self.grid)) is not None:
-            return self.correction.apply(*found)
+        if self.correction is not None and (factors := surrogate_factors(made, geometries, self.grid)) is not None:
+            return self.correction.apply(*factors)
         return simulate_measurement(made, geometries, self.grid, seed=self.seed, memory=self.cache).factors
 
     def effect(self, path: str, value: float, step: float, is_signed: bool = False) -> float:
@@ -85,19 +85,19 @@ class Evaluator:
             return 0.0
         is_cut = value >= 0 and not is_signed
         ends = np.array([[max(value - step, 0.0) if is_cut else value - step], [value + step]])
-        seen = self.at_once([path], ends)
-        if seen is None:
+        factors = self.at_once([path], ends)
+        if factors is None:
             try:
-                seen = np.stack([self.one([path], row) for row in ends])
+                factors = np.stack([self.one([path], row) for row in ends])
             except NacreError:
                 return 0.0
         if self.unit == TEXTURE:
-            numbers = seen.mean(axis=-1)
+            numbers = factors.mean(axis=-1)
             return float(50.0 * np.max(np.abs(numbers[1] - numbers[0]) / np.maximum(numbers.mean(axis=0), 1e-12)))
         if self.unit == RMS:
-            return float(0.5 * 100.0 * np.sqrt(np.mean((seen[1] - seen[0]) ** 2, axis=-1)).max())
+            return float(0.5 * 100.0 * np.sqrt(np.mean((factors[1] - factors[0]) ** 2, axis=-1)).max())
         spectral = [row for row, at in enumerate(geometries_of(self.targets)) if not isinstance(at, TextureQuantity)]
-        labs = self.merit.labs(seen[:, spectral])
+        labs = self.merit.labs(factors[:, spectral])
         return float(0.5 * np.max(delta_e_2000(labs[0], labs[1]), initial=0.0))
 
     @property
@@ -159,16 +159,16 @@ def yield_of(
 
 def _costs(evaluator: Evaluator, tolerances: Sequence[Tolerance]) -> list[dict[str, Any]]:
     """Return the effect of one standard deviation of each tolerance, largest first."""
-    found: list[dict[str, Any]] = []
+    effects: list[dict[str, Any]] = []
     for t in tolerances:
         sigma = abs(t.standard_deviation)
-        found.append(
+        effects.append(
             {"path": t.path, "deviation": sigma, "moves": evaluator.effect(t.path, t.nominal, sigma, t.is_signed)}
         )
-    total = sum(entry["moves"] ** 2 for entry in found) or 1.0
-    for entry in found:
+    total = sum(entry["moves"] ** 2 for entry in effects) or 1.0
+    for entry in effects:
         entry["share"] = entry["moves"] ** 2 / total
-    return sorted(found, key=lambda entry: -entry["moves"])
+    return sorted(effects, key=lambda entry: -entry["moves"])
 
 
 def sensitivity(
@@ -191,11 +191,11 @@ def sensitivity(
     """
     begun = clock()
     evaluator = Evaluator.of(material, targets, light, seed, measured)
-    found: list[dict[str, Any]] = []
+    effects: list[dict[str, Any]] = []
     unit = f"{evaluator.unit}_of_1_percent"
     for path in paths:
         value = float(material.get(path))
-        found.append({"path": path, "value": value, unit: evaluator.effect(path, value, RELATIVE_STEP * abs(value))})
+        effects.append({"path": path, "value": value, unit: evaluator.effect(path, value, RELATIVE_STEP * abs(value))})
         if clock() - begun > seconds and evaluator.at_once([path], np.array([[value]])) is None:
             break
-    return sorted(found, key=lambda entry: -entry[unit])
+    return sorted(effects, key=lambda entry: -entry[unit])

@@ -92,9 +92,9 @@ class View:
         right /= np.linalg.norm(right)
         half_width = share * np.tan(np.radians(0.5 * self.fov_deg))
         half_height = half_width * size[1] / size[0]
-        seen = points - origin
-        depth = seen @ ahead
-        across, along = np.abs(seen @ right), np.abs(seen @ np.cross(right, ahead))
+        relative = points - origin
+        depth = relative @ ahead
+        across, along = np.abs(relative @ right), np.abs(relative @ np.cross(right, ahead))
         return bool(
             (depth > 0.1).all() and (across <= half_width * depth).all() and (along <= half_height * depth).all()
         )

@@ -89,8 +89,8 @@ def _has_glints(lobe: Any) -> bool:
 def clean_albedo(albedo: NDArray[np.float32]) -> NDArray[np.float32]:
     """Denoise the albedo `[row, column, 3]`, whose colours have spectral noise."""
     clean = np.empty_like(albedo)
-    for seen, kept, inner in strips(*albedo.shape[:2]):
-        clean[kept] = np.clip(_filtered(albedo[seen])[inner], 0.0, 1.0)
+    for rows, inner_rows, inner in strips(*albedo.shape[:2]):
+        clean[inner_rows] = np.clip(_filtered(albedo[rows])[inner], 0.0, 1.0)
     return clean
 
 
@@ -108,14 +108,14 @@ def denoised(
         difference: `[row, column, 3]`, a noise sample for `xyz` (see `nacre.picture.passes.Frame`). Without it
             only mean colours are restored.
     """
-    found = np.empty_like(xyz)
+    result = np.empty_like(xyz)
     parts = strips(*xyz.shape[:2])
     scale = None if len(parts) == 1 else exposure(xyz[..., 1])
     with single_threaded_blas():  # small products, some in threads
-        for seen, kept, inner in parts:
-            noise = None if difference is None else difference[seen]
-            found[kept] = _strip(xyz[seen], albedo[seen], normal[seen], scale, noise)[inner]
-    return found
+        for rows, inner_rows, inner in parts:
+            noise = None if difference is None else difference[rows]
+            result[inner_rows] = _strip(xyz[rows], albedo[rows], normal[rows], scale, noise)[inner]
+    return result
 
 
 def _strip(
@@ -132,31 +132,31 @@ def _strip(
     clean = np.maximum(np.asarray(clean, dtype=np.float64) @ np.linalg.inv(TO_RGB).T, 0.0)
     own = clean.max(axis=-1).astype(np.float32)
     bound = np.float32(LARGEST_RETURN) * own[..., None]
-    lost = (xyz - clean).astype(np.float32)
+    removed = (xyz - clean).astype(np.float32)
     if difference is None:
-        lost = np.clip(lost, -bound, bound)
-        mean, share = means_by_light(lost, own, lambda values: smooth(values, KEPT_MEANS))
-        return np.maximum(clean + share * mean * beyond_chance(mean, lost), 0.0)
+        removed = np.clip(removed, -bound, bound)
+        mean, share = means_by_light(removed, own, lambda values: smooth(values, KEPT_MEANS))
+        return np.maximum(clean + share * mean * beyond_chance(mean, removed), 0.0)
     # separate from the scales, in which a highlight's rest would glow
-    sharp = highlights(lost, difference)
-    lost -= sharp
-    mean, share = means_by_light(np.clip(lost, -bound, bound), own, means)
+    sharp = highlights(removed, difference)
+    removed -= sharp
+    mean, share = means_by_light(np.clip(removed, -bound, bound), own, means)
     bound *= np.float32(LARGEST_TEXTURE / LARGEST_RETURN)
-    texture = beyond_noise(np.clip(lost - mean, -bound, bound), np.clip(difference, -bound, bound))
+    texture = beyond_noise(np.clip(removed - mean, -bound, bound), np.clip(difference, -bound, bound))
     return np.maximum(clean + share * (np.clip(texture, -bound, bound) + mean) + sharp, 0.0)
 
 
-def highlights(lost: NDArray[Any], difference: NDArray[np.float32]) -> NDArray[Any]:
-    """Return the signal in `lost` that both halves contain beyond chance: mirrored lamps, not fireflies.
+def highlights(removed: NDArray[Any], difference: NDArray[np.float32]) -> NDArray[Any]:
+    """Return the signal in `removed` that both halves contain beyond chance: mirrored lamps, not fireflies.
 
     Args:
-        lost: XYZ `[row, column, 3]`, raw minus clean picture.
+        removed: XYZ `[row, column, 3]`, raw minus clean picture.
         difference: half the difference between the halves.
     """
-    first, second = lost + difference, lost - difference
-    held = np.where(first * second > 0.0, np.minimum(np.abs(first), np.abs(second)), 0.0)
+    first, second = removed + difference, removed - difference
+    common = np.where(first * second > 0.0, np.minimum(np.abs(first), np.abs(second)), 0.0)
     chance = BEYOND_CHANCE * np.sqrt(np.sqrt(smooth((difference**2) ** 2, ABOUT)))
-    return np.asarray(np.copysign(np.maximum(held - chance, 0.0), lost))
+    return np.asarray(np.copysign(np.maximum(common - chance, 0.0), removed))
 
 
 def _filtered(
@@ -184,47 +184,47 @@ def _filtered(
     return np.asarray(oidn.denoise(*images.values(), **options))
 
 
-def beyond_noise(lost: NDArray[Any], noise: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the texture in `lost`: the part that noise does not explain, without local means.
+def beyond_noise(removed: NDArray[Any], noise: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the texture in `removed`: the part that noise does not explain, without local means.
 
     Wiener filter: each scale and opponent colour keeps the share 1 - (noise power) / (loss power), with local
     powers; small shares are reduced.
 
     Args:
-        lost: XYZ `[row, column, 3]`, raw minus clean picture.
-        noise: another noise sample for `lost`.
+        removed: XYZ `[row, column, 3]`, raw minus clean picture.
+        noise: another noise sample for `removed`.
     """
     # normalised, because fourth powers must fit single precision, which halves the time
-    size = max(float(np.mean(np.abs(lost))), float(np.mean(np.abs(noise))), 1e-30)
+    size = max(float(np.mean(np.abs(removed))), float(np.mean(np.abs(noise))), 1e-30)
     mix = (OPPONENT.T / size).astype(np.float32)
-    planes = [np.moveaxis(part.astype(np.float32, copy=False) @ mix, -1, 0) for part in (lost, noise)]
+    planes = [np.moveaxis(part.astype(np.float32, copy=False) @ mix, -1, 0) for part in (removed, noise)]
     with ThreadPoolExecutor(min(available_jobs(), len(OPPONENT))) as pool:
-        kept = list(pool.map(lambda pair: _texture(*pair), zip(*planes, strict=True)))
-    return np.asarray(np.stack(kept, axis=-1) @ (size * np.linalg.inv(OPPONENT).T).astype(np.float32))
+        texture = list(pool.map(lambda pair: _texture(*pair), zip(*planes, strict=True)))
+    return np.asarray(np.stack(texture, axis=-1) @ (size * np.linalg.inv(OPPONENT).T).astype(np.float32))
 
 
-def means(lost: NDArray[Real]) -> NDArray[Real]:
+def means(removed: NDArray[Real]) -> NDArray[Real]:
     """Return local means, the complement to the scales in `beyond_noise`."""
-    return smooth(lost, ALL_SCALES)
+    return smooth(removed, ALL_SCALES)
 
 
-def beyond_chance(mean: NDArray[np.float32], lost: NDArray[np.float32]) -> NDArray[np.float32]:
+def beyond_chance(mean: NDArray[np.float32], removed: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the Wiener share for local means if the noise is unknown.
 
     The loss itself is the noise estimate, reduced by the pixel count in the mean. Without it flake paints rendered
     by random walks had blotches.
 
     Args:
-        mean: local mean of `lost`, `[row, column, 3]`.
-        lost: raw minus clean picture.
+        mean: local mean of `removed`, `[row, column, 3]`.
+        removed: raw minus clean picture.
     """
-    chance = smooth(lost**2, KEPT_MEANS) / np.float32(4.0 * np.pi * KEPT_MEANS**2)
+    chance = smooth(removed**2, KEPT_MEANS) / np.float32(4.0 * np.pi * KEPT_MEANS**2)
     power = smooth(mean**2, KEPT_MEANS)
     return np.clip(1.0 - chance / np.maximum(power, 1e-20), 0.0, 1.0)
 
 
 def means_by_light(
-    lost: NDArray[Real], own: NDArray[Real], blurred: Callable[[NDArray[Real]], NDArray[Real]]
+    removed: NDArray[Real], own: NDArray[Real], blurred: Callable[[NDArray[Real]], NDArray[Real]]
 ) -> tuple[NDArray[Real], NDArray[Real]]:
     """Return the local loss as a linear function of log light, and the share that a pixel may receive.
 
@@ -232,7 +232,7 @@ def means_by_light(
     card went black beside a mirrored sun.
 
     Args:
-        lost: XYZ `[row, column, 3]`.
+        removed: XYZ `[row, column, 3]`.
         own: clean light `[row, column]`.
         blurred: local mean.
 
@@ -241,25 +241,25 @@ def means_by_light(
     """
     nearby = np.maximum(blurred(own), 1e-20)
     light = np.log(own + DARKEST * nearby)
-    middle, mean = blurred(light), blurred(lost)
+    middle, mean = blurred(light), blurred(removed)
     spread = np.maximum(blurred(light**2) - middle**2, 0.0)
-    slope = (blurred(light[..., None] * lost) - middle[..., None] * mean) / (spread + DENOISE_EVEN**2)[..., None]
+    slope = (blurred(light[..., None] * removed) - middle[..., None] * mean) / (spread + DENOISE_EVEN**2)[..., None]
     return mean + slope * (light - middle)[..., None], np.minimum(own / nearby, 1.0)[..., None] ** 2
 
 
-def _texture(lost: NDArray[np.float32], noise: NDArray[np.float32]) -> NDArray[np.float32]:
+def _texture(removed: NDArray[np.float32], noise: NDArray[np.float32]) -> NDArray[np.float32]:
     """`beyond_noise` for one colour `[row, column]`."""
-    lost, noise = np.ascontiguousarray(lost), np.ascontiguousarray(noise)
-    kept = np.zeros_like(lost)
+    removed, noise = np.ascontiguousarray(removed), np.ascontiguousarray(noise)
+    texture = np.zeros_like(removed)
     before = 1.0
     for scale in SCALES:
-        wide, wide_noise = smooth(lost, scale), smooth(noise, scale)
-        fine, fine_noise = lost - wide, noise - wide_noise
+        wide, wide_noise = smooth(removed, scale), smooth(noise, scale)
+        fine, fine_noise = removed - wide, noise - wide_noise
         reach = NEARBY * before
         power, noise_power = fine**2, fine_noise**2
         fourth = noise_power**2
-        found = smooth(power - noise_power, reach)
-        share = np.maximum(found / np.maximum(smooth(power, reach), 1e-20), 0.0)
+        excess = smooth(power - noise_power, reach)
+        share = np.maximum(excess / np.maximum(smooth(power, reach), 1e-20), 0.0)
         # excess over the noise in standard errors
         blot = 1.0 if scale == SCALES[0] else 2.0 * np.pi * before**2  # pixels per independent noise sample
         error = np.sqrt(2.0 * smooth(fourth, reach / np.sqrt(2.0)) * blot / (4.0 * np.pi * reach**2))
@@ -267,14 +267,14 @@ def _texture(lost: NDArray[np.float32], noise: NDArray[np.float32]) -> NDArray[n
         usual_power = smooth(noise_power, 2.0 * reach)
         tails = smooth(fourth, 2.0 * reach) / np.maximum(usual_power**2, 1e-37)
         chance = CHANCE * np.clip(tails / NORMAL_TAILS, 1.0, None)
-        sure = np.clip((found / np.maximum(error, 1e-20) - chance) / chance, 0.0, 1.0)
+        sure = np.clip((excess / np.maximum(error, 1e-20) - chance) / chance, 0.0, 1.0)
         sure *= np.clip((TAILS[1] - tails) / (TAILS[1] - TAILS[0]), 0.0, 1.0)
         usual = np.maximum(OUTLIER * np.sqrt(usual_power), FAR_LARGER * np.abs(fine))
-        most = MOST_TEXTURE * np.sqrt(np.maximum(found - REDUCTION * error, 0.0))
+        most = MOST_TEXTURE * np.sqrt(np.maximum(excess - REDUCTION * error, 0.0))
         calm = np.minimum(usual / np.maximum(np.abs(fine_noise), 1e-20), 1.0) ** 2
-        kept += np.clip(fine, -most, most) * calm * share * np.minimum(share / SURE, 1.0) * sure
-        lost, noise, before = wide, wide_noise, scale
-    return kept
+        texture += np.clip(fine, -most, most) * calm * share * np.minimum(share / SURE, 1.0) * sure
+        removed, noise, before = wide, wide_noise, scale
+    return texture
 
 
 def strips(rows: int, columns: int) -> list[tuple[slice, slice, slice]]:
@@ -290,8 +290,8 @@ def strips(rows: int, columns: int) -> list[tuple[slice, slice, slice]]:
     for first in range(0, rows, height):
         last = min(first + height, rows)
         begun = max(first - MARGIN, 0)
-        seen = slice(begun, min(last + MARGIN, rows))
-        found.append((seen, slice(first, last), slice(first - begun, last - begun)))
+        span = slice(begun, min(last + MARGIN, rows))
+        found.append((span, slice(first, last), slice(first - begun, last - begun)))
     return found
 
 
@@ -386,8 +386,8 @@ def first_hits(mean: NDArray[np.float64]) -> dict[str, NDArray[np.float32]]:
     """
     mean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
     # reflectances as XYZ refer to equal-energy light
-    seen_as = adapt_xyz(mean[..., :3], white_xyz("E"), SRGB_WHITE_XYZ)
-    albedo = np.clip(xyz_to_srgb_linear(seen_as), 0.0, 1.0).astype(np.float32)
+    adapted = adapt_xyz(mean[..., :3], white_xyz("E"), SRGB_WHITE_XYZ)
+    albedo = np.clip(xyz_to_srgb_linear(adapted), 0.0, 1.0).astype(np.float32)
     normal = np.clip(mean[..., 3:6], -1.0, 1.0).astype(np.float32)
     return {"albedo": albedo, "normal": normal, "depth": np.maximum(mean[..., 6:], 0.0).astype(np.float32)}
 
@@ -436,9 +436,9 @@ class AovIntegrator(Plugin):
         context = mi.BSDFContext()
         context.type_mask = kind
         bsdf = si.bsdf()
-        asked = active & ((bsdf.flags() & kind) != 0)
-        bs, share = bsdf.sample(context, si, first, second, asked)
-        return bs.wo, dr.select(asked, share, 0.0)
+        requested = active & ((bsdf.flags() & kind) != 0)
+        bs, share = bsdf.sample(context, si, first, second, requested)
+        return bs.wo, dr.select(requested, share, 0.0)
 
     def _split(self, path: _Path, si: Any, sampler: Any) -> tuple[Any, Any, Any]:
         """Follow reflection and transmission; return the current path's scattered share, direction and weight."""

@@ -232,10 +232,10 @@ def read_lamps(light: str | Sequence[str]) -> tuple[Lamp, ...]:
 
 
 def _lamp(text: str) -> Lamp:
-    found = _MARKS.match(text)
-    if found is None:
+    match = _MARKS.match(text)
+    if match is None:
         raise NacreError(f'light "{text}" has no name; write lights like studio:0.5,sun@120')
-    marks = re.findall(rf"([:@])({_NUMBER})", found["marks"])
+    marks = re.findall(rf"([:@])({_NUMBER})", match["marks"])
     if len({sign for sign, _ in marks}) < len(marks):
         raise NacreError(f'light "{text}" has two strengths or two turns; write it like studio:0.5@120')
     values = {sign: float(number) for sign, number in marks}
@@ -244,7 +244,7 @@ def _lamp(text: str) -> Lamp:
         raise NacreError(f'light "{text}": a strength is a number above 0, up to {MAX_STRENGTH:g}')
     if not math.isfinite(turn) or abs(turn) > MAX_TURN_DEG:
         raise NacreError(f'light "{text}": a turn is an angle in degrees, up to {MAX_TURN_DEG:g}')
-    return Lamp(found["name"], strength, turn)
+    return Lamp(match["name"], strength, turn)
 
 
 def sum_of_environments(parts: Sequence[tuple[Any, float]]) -> Any:
@@ -529,11 +529,11 @@ def make_lights(lamps: Sequence[Lamp], illuminant: str = "D65", turn_deg: float 
     turning = tuple((emitter, own + lamp.turn_deg) for lamp, light in both for emitter, own in light.turning)
     if len(lamps) == 1 and lamps[0].strength == 1.0:
         return replace(lights[0], turning=turning)
-    found = [(_environment_of(light), light, lamp.strength) for lamp, light in both]
-    surroundings = [each for each in found if each[0] is not None]
+    environments = [(_environment_of(light), light, lamp.strength) for lamp, light in both]
+    surroundings = [each for each in environments if each[0] is not None]
     emitters = {
         f"{name}{index}": emitter
-        for index, (environment, light, _) in enumerate(found)
+        for index, (environment, light, _) in enumerate(environments)
         for name, emitter in light.emitters.items()
         if emitter is not environment
     }
@@ -552,8 +552,8 @@ def make_lights(lamps: Sequence[Lamp], illuminant: str = "D65", turn_deg: float 
 
 def _environment_of(light: Light) -> Any:
     """Return a light's environment emitter, or None."""
-    found = (each for each in light.emitters.values() if isinstance(each, mi.Emitter) and each.is_environment())
-    return next(found, None)
+    environments = (each for each in light.emitters.values() if isinstance(each, mi.Emitter) and each.is_environment())
+    return next(environments, None)
 
 
 def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, strength: float = 1.0) -> Light:

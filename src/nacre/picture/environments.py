@@ -262,19 +262,19 @@ def street(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     clump = 1.9 + 0.35 * np.sin(5 * tree_y + 3 * tree_z) + 0.25 * np.sin(9 * tree_z - 4 * tree_y)
     is_tree = (np.hypot(offset, tree_z - 4.6) < clump) & (side > 0) & (np.abs(tree_y) > 4.0) & (np.abs(tree_y) < 80.0)
     leaf_light = 0.35 + 0.65 * _hash(np.floor(tree_y * 6), np.floor(tree_z * 6))
-    keep = np.where(is_tree, 0.0, 1.0)
-    canvas.weights = [w * keep for w in canvas.weights]
+    is_open = np.where(is_tree, 0.0, 1.0)
+    canvas.weights = [w * is_open for w in canvas.weights]
     canvas.add(tinted(sun, LEAF, "leaves in sun"), is_tree * leaf_light * 0.62 * power_sun)
     canvas.add(tinted(blue, LEAF, "leaves in shade"), is_tree * 0.5 * power_sky)
 
-    mirrored = np.where(pane, 0.12 + 0.25 * (1 - np.abs(x)) ** 2, 0.0) * keep
+    mirrored = np.where(pane, 0.12 + 0.25 * (1 - np.abs(x)) ** 2, 0.0) * is_open
     asphalt = np.where(is_ground, np.where(np.abs(ground_x) < 5.5, 0.13, 0.27), 0.0)
     kerb = 1 - 0.5 * (np.abs(np.abs(ground_x) - 5.5) < 0.08)
     grain = 0.94 + 0.12 * _hash(np.floor(ground_x * 8), np.floor(ground_y * 8))
     ground = asphalt * kerb * np.where(np.hypot(ground_x, ground_y) < 25, grain, 1.0)
-    canvas.add(sun, is_sky * keep * disc * 324.0 + ground * sun_on_ground * power_sun * keep)
-    canvas.add(haze, (is_sky * haze_weight + mirrored * 0.5 + ground * 0.2) * keep)
-    canvas.add(blue, (is_sky * blue_weight + mirrored * 0.35 + ground * 0.35) * keep)
+    canvas.add(sun, is_sky * is_open * disc * 324.0 + ground * sun_on_ground * power_sun * is_open)
+    canvas.add(haze, (is_sky * haze_weight + mirrored * 0.5 + ground * 0.2) * is_open)
+    canvas.add(blue, (is_sky * blue_weight + mirrored * 0.35 + ground * 0.35) * is_open)
     return canvas.finish("street under a clear sky: D50 sun, D65 haze, blue sky, brick, plaster, leaves", 0.6)
 
 
@@ -438,6 +438,6 @@ def _outline(seed: int) -> tuple[Array, Array]:
     height = np.full_like(azimuth, -1.0)
     for _ in range(26):
         centre, half, top = rng.uniform(-np.pi, np.pi), rng.uniform(0.10, 0.24), rng.uniform(-0.4, 1.2)
-        apart = np.abs(np.angle(np.exp(1j * (azimuth - centre)))) / half
-        height = np.maximum(height, top + 1.2 * (np.sqrt(np.clip(1 - apart**2, 0.0, 1.0)) - 1.0))
+        distance = np.abs(np.angle(np.exp(1j * (azimuth - centre)))) / half
+        height = np.maximum(height, top + 1.2 * (np.sqrt(np.clip(1 - distance**2, 0.0, 1.0)) - 1.0))
     return azimuth, height

@@ -171,8 +171,8 @@ def show(
     """
     parts = _row_parts(rgb)
     if len(parts) > 1:
-        shown = [show(rgb[part], None if alpha is None else alpha[part], background, tone) for part in parts]
-        return np.concatenate([each for each, _ in shown]), sum(count for _, count in shown)
+        images = [show(rgb[part], None if alpha is None else alpha[part], background, tone) for part in parts]
+        return np.concatenate([each for each, _ in images]), sum(count for _, count in images)
     if alpha is None:
         return encode(rgb, tone)
     cover = np.clip(alpha, 0.0, 1.0)[..., None]

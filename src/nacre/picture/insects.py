@@ -170,15 +170,15 @@ def butterfly_veins() -> mesh.Mesh:
     """Raised veins, as tapering tubes: two trunks that enclose a cell, with branches to the edge."""
     tubes = []
     t = np.linspace(0.02, 0.985, 32)
-    apart = np.clip((t - 0.22) / 0.36, 0.0, 1.0)
-    apart = apart * apart * (3 - 2 * apart)
+    spread = np.clip((t - 0.22) / 0.36, 0.0, 1.0)
+    spread = spread * spread * (3 - 2 * spread)
     across = np.linspace(0.0, 1.0, 12)
     for name, (outline, veins, *_) in _WINGS.items():
         first, last = outline[0][0], outline[-1][0]
         half = len(veins) // 2
         for number, angle in enumerate(veins):
             trunk = np.mean(veins[:2] if number < half else veins[-2:])
-            u = (trunk + (angle - trunk) * apart - first) / (last - first)
+            u = (trunk + (angle - trunk) * spread - first) / (last - first)
             tubes.append(mesh.tube(_wing_point(name, u, t), np.linspace(0.013, 0.0045, len(t))))
         # the far end of the cell
         u = (veins[half - 1] + (veins[half] - veins[half - 1]) * across - first) / (last - first)
@@ -271,9 +271,9 @@ def _shell(profile: Sequence[tuple[float, float, float]], is_scored: bool, cells
 def beetle_shell() -> mesh.Mesh:
     """Wing cases, neck shield and head, which get the material."""
     parts = [_shell(_WING_CASES, True, (560, 640)), _shell(_SHIELD, False, (160, 90)), _shell(_HEAD, False, (120, 80))]
-    whole = mesh.merge(parts)
-    across = 0.5 + 0.5 * whole.vertices[:, 0] / _HALF_WIDTH
-    return whole.with_uv(np.stack([across, (whole.vertices[:, 1] - _TAIL) / _BEETLE_LENGTH], axis=1))
+    shell = mesh.merge(parts)
+    across = 0.5 + 0.5 * shell.vertices[:, 0] / _HALF_WIDTH
+    return shell.with_uv(np.stack([across, (shell.vertices[:, 1] - _TAIL) / _BEETLE_LENGTH], axis=1))
 
 
 def _ellipsoid_mesh(centre: Sequence[float], size: Sequence[float]) -> mesh.Mesh:
@@ -357,8 +357,8 @@ def _vanes() -> tuple[mesh.Mesh, mesh.Mesh]:
         wide = wide * (1.0 + 0.012 * rng.standard_normal(t.shape))
         # barbs form bundles with gaps
         bundle = np.cumsum(rng.random(_BARBS) < 0.03)[:, None]
-        apart = 0.07 * rng.standard_normal(bundle.max() + 1)[bundle] + 0.006 * rng.standard_normal(t.shape)
-        slope = 0.95 - 0.35 * t + apart
+        offset = 0.07 * rng.standard_normal(bundle.max() + 1)[bundle] + 0.006 * rng.standard_normal(t.shape)
+        slope = 0.95 - 0.35 * t + offset
         root = _shaft(t)
         x = root[..., 0] + side * wide * (0.018 + s - 0.22 * s**2)
         y = root[..., 1] + wide * (slope * s**1.1 + 0.30 * s**2)

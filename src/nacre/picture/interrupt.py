@@ -42,12 +42,12 @@ def held_back() -> Iterator[Callable[[], bool]]:
 
     An interrupt inside the renderer would become another error and lose the passes.
     """
-    came = threading.Event()
+    interrupted = threading.Event()
 
     def note(number: int, frame: object) -> None:
         if not _has_passes.is_set():
             raise KeyboardInterrupt
-        came.set()
+        interrupted.set()
 
     # other signal handlers stay
     is_ours = threading.current_thread() is threading.main_thread()
@@ -55,7 +55,7 @@ def held_back() -> Iterator[Callable[[], bool]]:
     if is_ours:
         signal.signal(signal.SIGINT, note)
     try:
-        yield came.is_set
+        yield interrupted.is_set
     finally:
         if is_ours:
             signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -280,8 +280,8 @@ def split(surface: Mesh, field: Array) -> tuple[Mesh, Mesh]:
     rest = np.concatenate([np.stack([ab, b, c], 1), np.stack([ab, c, ac], 1)])
     rest_is_above = np.tile(~lone_is_above, 2)
 
-    def part(whole: NDArray[np.int64], tips: NDArray[np.bool_], rests: NDArray[np.bool_]) -> Mesh:
-        used, compact = np.unique(np.concatenate([whole, tip[tips], rest[rests]]), return_inverse=True)
+    def part(triangles: NDArray[np.int64], tips: NDArray[np.bool_], rests: NDArray[np.bool_]) -> Mesh:
+        used, compact = np.unique(np.concatenate([triangles, tip[tips], rest[rests]]), return_inverse=True)
         return Mesh(vertices[used], normals[used], uv[used], compact.reshape(-1, 3).astype(np.int64))
 
     return (
@@ -296,14 +296,14 @@ def bounding_ball(points: Array) -> tuple[Array, float]:
     Solves the LP-type problem (Sharir and Welzl 1992): the farthest outside point joins the at most four points that
     span the current ball, whose exact ball is found by enumeration. The radius increases in each step.
     """
-    held = points[:1]
+    support = points[:1]
     while True:
-        centre, radius, held = _ball_of_few(held)
+        centre, radius, support = _ball_of_few(support)
         distance = np.linalg.norm(points - centre, axis=1)
         farthest = int(np.argmax(distance))
-        if distance[farthest] <= radius * (1 + BALL_SLACK) or (held == points[farthest]).all(axis=1).any():
+        if distance[farthest] <= radius * (1 + BALL_SLACK) or (support == points[farthest]).all(axis=1).any():
             return centre, radius
-        held = np.concatenate([held, points[farthest : farthest + 1]])
+        support = np.concatenate([support, points[farthest : farthest + 1]])
 
 
 def _ball_of_few(points: Array) -> tuple[Array, float, Array]:

@@ -213,9 +213,9 @@ def balls() -> mesh.Mesh:
     """A strip of balls; u runs over the whole strip and v over each ball, therefore a formula of u is a series."""
     low = _HOLDER_RIM + 0.94 * _BALL
     half = 0.5 * (BALLS - 1) * _BALL_DISTANCE + _BALL
-    whole = _in_row(mesh.parametric(lambda u, v: _BALL * mesh.on_sphere(u + 0.25, v), 160, 80), low)
-    uv = [0.5 + 0.5 * whole.vertices[:, 0] / half, 0.5 + 0.5 * (whole.vertices[:, 2] - low) / _BALL]
-    return whole.with_uv(np.stack(uv, axis=1))
+    strip = _in_row(mesh.parametric(lambda u, v: _BALL * mesh.on_sphere(u + 0.25, v), 160, 80), low)
+    uv = [0.5 + 0.5 * strip.vertices[:, 0] / half, 0.5 + 0.5 * (strip.vertices[:, 2] - low) / _BALL]
+    return strip.with_uv(np.stack(uv, axis=1))
 
 
 def holders() -> mesh.Mesh:
@@ -244,8 +244,8 @@ def _element(radius: float, low: float, front: float, back: float) -> mesh.Mesh:
         ).facing_up()
 
     rim = mesh.parametric(lambda u, v: mesh.on_circle(radius, u, low + edge * (v - 1)), 160, 2)
-    whole = mesh.merge([face(front, low), face(back, low - edge).turned(), rim])
-    return whole.with_uv(0.5 + 0.5 * whole.vertices[:, :2] / radius)
+    lens = mesh.merge([face(front, low), face(back, low - edge).turned(), rim])
+    return lens.with_uv(0.5 + 0.5 * lens.vertices[:, :2] / radius)
 
 
 def elements() -> mesh.Mesh:

@@ -200,12 +200,12 @@ def read_options(keywords: Mapping[str, Any], allowed: Collection[str] = tuple(K
         TypeError: unknown keyword.
         NacreError: a value that is not allowed.
     """
-    given: dict[str, dict[str, Any]] = {group: {} for group in _GROUPS}
+    groups: dict[str, dict[str, Any]] = {group: {} for group in _GROUPS}
     for name, value in keywords.items():
         if name not in allowed:
             raise TypeError(f"got an unexpected keyword argument {name!r}.{did_you_mean(name, allowed)}")
-        given[KEYWORDS[name][0]][name] = value
-    return RenderOptions(**{group: options(**given[group]) for group, options in _GROUPS.items()})
+        groups[KEYWORDS[name][0]][name] = value
+    return RenderOptions(**{group: options(**groups[group]) for group, options in _GROUPS.items()})
 
 
 def signature(function: Callable[..., Any], allowed: Collection[str] = tuple(KEYWORDS)) -> inspect.Signature:
@@ -296,9 +296,9 @@ def read_until(spp: int | None, noise: float | None, seconds: float | None) -> U
     Raises:
         NacreError: two rules are given, or one is not allowed.
     """
-    given = [name for name, value in (("spp", spp), ("noise", noise), ("seconds", seconds)) if value is not None]
-    if len(given) > 1:
-        raise NacreError(f"{' and '.join(given)}: give one of them; each ends the picture")
+    stated = [name for name, value in (("spp", spp), ("noise", noise), ("seconds", seconds)) if value is not None]
+    if len(stated) > 1:
+        raise NacreError(f"{' and '.join(stated)}: give one of them; each ends the picture")
     if noise is not None:
         if not LEAST_NOISE <= noise <= 1:
             raise NacreError(f"noise = {noise!r} is not allowed; give {LEAST_NOISE:g} to 1")

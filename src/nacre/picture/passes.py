@@ -209,8 +209,8 @@ class _Passes:
 
     def run(self, report: ProgressCallback, on_better: Callable[[Frame], None] | None) -> Frame:
         until, plan, clock = self.settings.until, self.plan, Clock()
-        is_asked = False  # whether an end has been requested
-        shown = 0  # samples last given to `on_better`
+        is_requested = False  # whether an end has been requested
+        displayed = 0  # samples last given to `on_better`
         started = time.perf_counter()
         with interrupt.held_back() as is_interrupted:
             for index, part in enumerate(plan):
@@ -224,15 +224,15 @@ class _Passes:
                     report(index + 1, count, clock.left(index + 1, count))
                 except KeyboardInterrupt:
                     self.stopped = True
-                is_asked = self.stopped or is_interrupted()
+                is_requested = self.stopped or is_interrupted()
                 is_last = index + 1 == len(plan)
-                self.stopped = is_asked and not is_enough and not is_last
+                self.stopped = is_requested and not is_enough and not is_last
                 if self.stopped or is_enough:
                     break
-                if on_better is not None and self.done >= 2 * shown and not is_last:
-                    shown = self.done
+                if on_better is not None and self.done >= 2 * displayed and not is_last:
+                    displayed = self.done
                     on_better(self.frame())
-        if (is_asked or is_interrupted()) and not self.stopped:
+        if (is_requested or is_interrupted()) and not self.stopped:
             interrupt.note_late()
         made = self.frame(is_last=True)
         if made.not_finite:
@@ -243,8 +243,8 @@ class _Passes:
     def _add_pass(self, part: Part, is_over: Callable[[], bool]) -> bool:
         """Render a pass; return False if an interrupt stopped it."""
         until = self.settings.until
-        known = 0 if until.is_open else until.spp
-        samples = Pass(pass_seed(self.settings.seed, part.sequence), part.first, part.spp, known)
+        planned = 0 if until.is_open else until.spp
+        samples = Pass(pass_seed(self.settings.seed, part.sequence), part.first, part.spp, planned)
         values = self.camera.render(self.scene, self.integrator, samples, is_over)
         if values is None:
             return False
@@ -301,7 +301,7 @@ class _Passes:
         most = max(1, PASS_SAMPLES // (self.camera.size[0] * self.camera.rows))
         seed = pass_seed(self.settings.seed, AOVS_FROM)
         for tile in self.camera.tiles:
-            seen: Any = 0.0
+            total: Any = 0.0
             done = 0
             for count, into in zip(counts, (self.aovs, self.layers), strict=True):
                 if count == done:
@@ -310,9 +310,9 @@ class _Passes:
                 for part in pass_plan(count - done, most):
                     samples = Pass(seed, done + part.first, part.spp, alike=not self.sampling.draws)
                     made = self.camera.render_tile(tile, self.scene, integrator, samples)
-                    seen = seen + part.spp * made[..., [0, 1, 2, -4, -3, -2, -1]]
+                    total = total + part.spp * made[..., [0, 1, 2, -4, -3, -2, -1]]
                 done = count
-                for name, values in denoise.first_hits(np.asarray(seen / done, dtype=float)).items():
+                for name, values in denoise.first_hits(np.asarray(total / done, dtype=float)).items():
                     if name not in into:
                         into[name] = np.empty((self.camera.size[1], *values.shape[1:]), dtype=np.float32)
                     into[name][tile.kept] = values[tile.inner]
@@ -628,15 +628,15 @@ class TiledCamera:
         pixels: int = TILE_PIXELS,
     ) -> None:
         self.size, self.sampler = size, sampler
-        whole = size[0] * size[1]
+        pixel_count = size[0] * size[1]
         # Mitsuba's samplers, of the scalar variants, do not know their place in a larger picture
-        can_divide = hasattr(sampler, "first_pixel") and whole > 2 * pixels
+        can_divide = hasattr(sampler, "first_pixel") and pixel_count > 2 * pixels
         margin = 0 if is_boxed else MARGIN
-        self.rows, self.tiles = divide(size, pixels if can_divide else whole, margin)
+        self.rows, self.tiles = divide(size, pixels if can_divide else pixel_count, margin)
         self.sensor = make_sensor((size[0], self.rows))
         values = mi.traverse(self.sensor)
         if len(self.tiles) > 1 and OFFSET not in values:  # a camera with a lens has no offset
-            self.rows, self.tiles = divide(size, whole, margin)
+            self.rows, self.tiles = divide(size, pixel_count, margin)
             self.sensor = make_sensor(size)
         self.own_offset = float(np.ravel(values[OFFSET])[0]) if OFFSET in values else 0.0
 
@@ -660,17 +660,17 @@ class TiledCamera:
             samples: samples of the pass.
             is_over: called between tiles.
         """
-        whole: Any = None
+        picture: Any = None
         for index, tile in enumerate(self.tiles):
             if index and is_over is not None and is_over():
                 return None
             made = self.render_tile(tile, scene, integrator, samples)
             if len(self.tiles) == 1:
                 return made
-            if whole is None:
-                whole = np.empty((self.size[1], *made.shape[1:]), dtype=np.float32)
-            whole[tile.kept] = made[tile.inner]
-        return np.asarray(whole, dtype=np.float32)
+            if picture is None:
+                picture = np.empty((self.size[1], *made.shape[1:]), dtype=np.float32)
+            picture[tile.kept] = made[tile.inner]
+        return np.asarray(picture, dtype=np.float32)
 
     def render_tile(self, tile: Tile, scene: Any, integrator: Any, samples: Pass) -> NDArray[np.float32]:
         """Return a pass `[row, column, channel]` of one tile with its margins; see `render`."""

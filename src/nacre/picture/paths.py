@@ -203,7 +203,7 @@ class Paths(Plugin):
         lamp_weight = mi.Float(draws) * dr.fma(DIFFUSE_LIGHT_SAMPLE_WEIGHT - 1.0, on_floor, 1.0)
         places = _light_sample_points(sampler, draws, path.active)
 
-        def body(count: Any, found: Any) -> Any:
+        def body(count: Any, state: Any) -> Any:
             ds, shine = scene.sample_emitter_direction(si, places(count), not self.passes_through, is_broad)
             is_lit = is_broad & (ds.pdf != 0.0)
             if self.passes_through:
@@ -213,12 +213,12 @@ class Paths(Plugin):
                 is_far = ds.emitter == mi.EmitterPtr(scene.environment())
                 is_lit = is_lit & ((is_far & path.has_spread & (by_bsdf > NARROW)) ^ True)
             share = dr.select(ds.delta, 1.0, _power_heuristic(lamp_weight * ds.pdf, by_bsdf))
-            return count + 1, dr.select(is_lit, dr.fma(share, value * shine, found), found)
+            return count + 1, dr.select(is_lit, dr.fma(share, value * shine, state), state)
 
         state, labels = (mi.UInt32(0), mi.Spectrum(0.0)), ("count", "found")
-        loop = dr.while_loop(state, lambda count, found: is_broad & (count < draws), body, labels, label="lamps")
-        found = loop[1] / mi.Float(draws)
-        path.light = dr.select(is_broad, dr.fma(path.weight, found, path.light), path.light)
+        loop = dr.while_loop(state, lambda count, current: is_broad & (count < draws), body, labels, label="lamps")
+        current = loop[1] / mi.Float(draws)
+        path.light = dr.select(is_broad, dr.fma(path.weight, current, path.light), path.light)
         return lamp_weight
 
     def _pass_straight(self, path: _Path, si: Any, bsdf: Any, sampler: Any) -> Any:
@@ -341,10 +341,10 @@ class CutOut(WrappedIntegrator):
         self.inner, self.shapes = inner, list(shapes)
 
     def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
-        is_seen = is_one_of(scene.ray_intersect_preliminary(ray, True, active), self.shapes)
-        light, is_valid, rest = self.inner.sample(scene, sampler, ray, medium, active & is_seen)
-        is_seen = is_seen & is_valid & active
-        return dr.select(is_seen, light, 0.0), is_seen, rest
+        is_hit = is_one_of(scene.ray_intersect_preliminary(ray, True, active), self.shapes)
+        light, is_valid, rest = self.inner.sample(scene, sampler, ray, medium, active & is_hit)
+        is_hit = is_hit & is_valid & active
+        return dr.select(is_hit, light, 0.0), is_hit, rest
 
 
 def sees_objects(
@@ -359,22 +359,22 @@ def sees_objects(
         at_once: rays per batch.
     """
     width, height = size
-    found = np.zeros(width * height, dtype=bool)
+    sees = np.zeros(width * height, dtype=bool)
     step = 1 if mi.variant().startswith("scalar") else at_once
     for begun in range(0, width * height, step):
         index = np.arange(begun, min(begun + step, width * height))
         x, y = (index % width + 0.5) / width, (index // width + 0.5) / height
         place = mi.Point2f(float(x[0]), float(y[0])) if step == 1 else mi.Point2f(mi.Float(x), mi.Float(y))
         ray, _ = sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5, 0.5))
-        is_seen = is_one_of(scene.ray_intersect_preliminary(ray, True), shapes)
-        found[index] = np.asarray(is_seen) if step == 1 else np.asarray(is_seen & dr.full(mi.Bool, True, len(index)))
-    return found.reshape(height, width)
+        is_hit = is_one_of(scene.ray_intersect_preliminary(ray, True), shapes)
+        sees[index] = np.asarray(is_hit) if step == 1 else np.asarray(is_hit & dr.full(mi.Bool, True, len(index)))
+    return sees.reshape(height, width)
 
 
 def is_one_of(met: Any, shapes: Sequence[Any]) -> Any:
     """Return whether an interaction's shape is among the given ones."""
     is_scalar = mi.variant().startswith("scalar")
-    is_seen = mi.Bool(False)
+    is_hit = mi.Bool(False)
     for shape in shapes:
-        is_seen = is_seen | (met.shape == (shape if is_scalar else mi.ShapePtr(shape)))
-    return is_seen
+        is_hit = is_hit | (met.shape == (shape if is_scalar else mi.ShapePtr(shape)))
+    return is_hit

@@ -249,33 +249,33 @@ class _Picture:
         with progress_bar("rendering", self.options.output.progress) as report:
             preview = None if on_better is None else lambda frame: on_better(self.result(frame))
             frame = render_passes(self.scene, self.settings, report, preview)
-            alone = self._each_light(frame.spp, report) if self.options.lighting.light_layers else {}
+            by_light = self._each_light(frame.spp, report) if self.options.lighting.light_layers else {}
             if self.options.output.layers == "stokes":
                 frame = replace(frame, layers={**frame.layers, **self._stokes(frame, report)})
-        return self.result(frame, alone)
+        return self.result(frame, by_light)
 
     def _stokes(self, frame: Frame, report: ProgressCallback) -> dict[str, Any]:
         """Return the XYZ of the Stokes components, from the same paths as the picture, which may be one of them."""
-        found = {}
+        parts = {}
         for name in STOKES:
             settings = replace(self.settings, until=Until(frame.spp), analyser=name)
-            is_known = name == self.settings.analyser
-            found[name] = (frame if is_known else render_passes(self.scene, settings, report)).xyz.astype(np.float32)
-        return found
+            is_done = name == self.settings.analyser
+            parts[name] = (frame if is_done else render_passes(self.scene, settings, report)).xyz.astype(np.float32)
+        return parts
 
     def _each_light(self, spp: int, report: ProgressCallback) -> dict[str, Any]:
         """Return each light's XYZ in the same scene; other seeds make their noise independent."""
         assert self.set_up is not None  # user scenes refuse light layers
-        alone = {}
+        by_light = {}
         for index, lamp in enumerate(self.lamps):
             scene = self.set_up.cached((lamp,), self.lamps)
             scene.set_material(self.bsdf)
             seed = pass_seed(self.settings.seed, 1_000_003 + index)
             settings = replace(self.settings, until=Until(spp), with_aovs=False, seed=seed)
-            alone[str(lamp)] = render_passes(scene, settings, report).xyz
-        return alone
+            by_light[str(lamp)] = render_passes(scene, settings, report).xyz
+        return by_light
 
-    def result(self, frame: Frame, alone: Mapping[str, Any] | None = None) -> RenderResult:
+    def result(self, frame: Frame, by_light: Mapping[str, Any] | None = None) -> RenderResult:
         """Denoise and develop a frame."""
         tone = self.options.tone
         xyz, raw = frame.xyz, None
@@ -303,7 +303,7 @@ class _Picture:
             frame.alpha,
             tone.behind.colour,
             tone.tone,
-            alone or {},
+            by_light or {},
             {name: (FIRST_HIT.get(name, "XYZ"), values) for name, values in layers.items()},
         )
 
@@ -355,23 +355,23 @@ def scene_dict(material: Any = None, scene: str = "sphere", **options: Any) -> d
     Raises:
         NacreError: as `render`.
     """
-    given = read_options({"spp": 64, **options}, SCENE_KEYWORDS)
+    read = read_options({"spp": 64, **options}, SCENE_KEYWORDS)
     if scene == "screen":
         raise UnsupportedError("scene screen: is what a tile projects, no scene of objects; render makes its picture")
     chosen = find_scene(scene)
-    lamps = given.lighting.lamps or read_lamps(chosen.light)
+    lamps = read.lighting.lamps or read_lamps(chosen.light)
     for lamp in lamps:
         check_light(lamp.name)
     use_variant()
     bsdf = None if material is None else resolve_material(material, None, "sum")[0]
     clear = bool(getattr(bsdf, "transmits", False))
-    framing, illuminant = given.camera.framing, given.lighting.illuminant
-    built = _SetUp(scene, given.subject, framing.azimuth_deg, illuminant, 0.0, clear, is_plain=False).build(lamps)
+    framing, illuminant = read.camera.framing, read.lighting.illuminant
+    built = _SetUp(scene, read.subject, framing.azimuth_deg, illuminant, 0.0, clear, is_plain=False).build(lamps)
     if bsdf is not None:
         built.set_material(bsdf)
     film = {"type": "hdrfilm", "rfilter": {"type": "gaussian"}}
-    size = check_size(given.camera.size) or chosen.size
-    sensor = built.sensor(built.view(framing), size, film, given.sampling.until.spp)
+    size = check_size(read.camera.size) or chosen.size
+    sensor = built.sensor(built.view(framing), size, film, read.sampling.until.spp)
     return {**built.content, "integrator": path_tracer(built), "sensor": sensor}
 
 

@@ -117,11 +117,11 @@ class ContinuedSampler(Plugin):
     STATE = ("start", "key_seed", "spp", "block", "width", "first_pixel", "alike")
 
     def set_up(self) -> None:
-        whole = mi.UInt32
+        UInt32 = mi.UInt32
         self.start, self.key_seed, self.spp = 0, 0, 1
         self.block, self.width, self.first_pixel, self.alike = 0, 1, 0, False
-        self.index, self.key, self.dimension = whole(0), whole(0), whole(0)
-        self.own_key = whole(0)  # pixel key, also if `alike`
+        self.index, self.key, self.dimension = UInt32(0), UInt32(0), UInt32(0)
+        self.own_key = UInt32(0)  # pixel key, also if `alike`
 
     def fork(self) -> Any:
         other = make_plugin(ContinuedSampler)
@@ -132,24 +132,24 @@ class ContinuedSampler(Plugin):
     clone = fork
 
     def seed(self, seed: Any, wavefront_size: int = 0xFFFFFFFF) -> None:
-        whole = mi.UInt32
+        UInt32 = mi.UInt32
         mi.Sampler.seed(self, seed, wavefront_size)
-        lane = dr.arange(whole, wavefront_size)
-        pixel = lane // dr.opaque(whole, self.spp)
-        self.index = dr.opaque(whole, self.start) + (lane - pixel * dr.opaque(whole, self.spp))
-        pixel += dr.opaque(whole, self.first_pixel)  # tile position in the picture
+        lane = dr.arange(UInt32, wavefront_size)
+        pixel = lane // dr.opaque(UInt32, self.spp)
+        self.index = dr.opaque(UInt32, self.start) + (lane - pixel * dr.opaque(UInt32, self.spp))
+        pixel += dr.opaque(UInt32, self.first_pixel)  # tile position in the picture
         if self.alike:
-            pixel = dr.zeros(whole, wavefront_size)
+            pixel = dr.zeros(UInt32, wavefront_size)
         elif self.block:
             # each pixel in a sampling tile, in Z order, has its share in the sequence
-            row = pixel // dr.opaque(whole, self.width)
-            column = pixel - row * dr.opaque(whole, self.width)
-            self.index += dr.opaque(whole, self.block) * _z_order(column, row)
-            tiles = dr.opaque(whole, (self.width + TILE - 1) // TILE)
+            row = pixel // dr.opaque(UInt32, self.width)
+            column = pixel - row * dr.opaque(UInt32, self.width)
+            self.index += dr.opaque(UInt32, self.block) * _z_order(column, row)
+            tiles = dr.opaque(UInt32, (self.width + TILE - 1) // TILE)
             pixel = (row // TILE) * tiles + column // TILE
-        self.key = _hashed(pixel, dr.opaque(whole, self.key_seed))
-        self.own_key = _hashed(dr.opaque(whole, self.first_pixel) + lane // dr.opaque(whole, self.spp), self.key)
-        self.dimension = dr.zeros(whole, wavefront_size)
+        self.key = _hashed(pixel, dr.opaque(UInt32, self.key_seed))
+        self.own_key = _hashed(dr.opaque(UInt32, self.first_pixel) + lane // dr.opaque(UInt32, self.spp), self.key)
+        self.dimension = dr.zeros(UInt32, wavefront_size)
 
     def schedule_state(self) -> None:
         dr.schedule(self.index, self.key, self.dimension, self.own_key)
@@ -185,10 +185,10 @@ class ContinuedSampler(Plugin):
 
 
 def _hashed(a: Any, b: Any) -> Any:
-    whole = mi.UInt32
-    h = a ^ (b * whole(GOLDEN) + whole(OFFSET))
+    UInt32 = mi.UInt32
+    h = a ^ (b * UInt32(GOLDEN) + UInt32(OFFSET))
     for shift, factor in AVALANCHE:
-        h = (h ^ (h >> shift)) * whole(factor)
+        h = (h ^ (h >> shift)) * UInt32(factor)
     return h
 
 
@@ -205,17 +205,17 @@ def _second(index: Any) -> Any:
 
     Its entry for bits b and j is odd if j is a subset of b; five sums over supersets give it.
     """
-    for bit, kept in enumerate(PARTS):
-        index = index ^ ((index >> (1 << bit)) & mi.UInt32(kept))
+    for bit, mask in enumerate(PARTS):
+        index = index ^ ((index >> (1 << bit)) & mi.UInt32(mask))
     return index
 
 
 def _z_order(column: Any, row: Any) -> Any:
     """A pixel's place in its sampling tile along a Z curve."""
-    found = mi.UInt32(0)
+    place = mi.UInt32(0)
     for bit in range(TILE.bit_length() - 1):
-        found |= (((column >> bit) & 1) << (2 * bit)) | (((row >> bit) & 1) << (2 * bit + 1))
-    return found
+        place |= (((column >> bit) & 1) << (2 * bit)) | (((row >> bit) & 1) << (2 * bit + 1))
+    return place
 
 
 def _unit(x: Any) -> Any:
@@ -249,13 +249,13 @@ def smooth(picture: NDArray[Real], sigma: float) -> NDArray[Real]:
     along = np.empty_like(picture)
     for start in range(0, len(picture), BLOCK):
         rows = slice(start, min(start + BLOCK, len(picture)))
-        seen = padded[start : rows.stop + 2 * reach]
-        np.matmul(weights[: rows.stop - start, : len(seen)], seen, out=along[rows])
+        strip = padded[start : rows.stop + 2 * reach]
+        np.matmul(weights[: rows.stop - start, : len(strip)], strip, out=along[rows])
     padded = np.pad(along, ((0, 0), (reach, reach)), mode="edge")
     for start in range(0, picture.shape[1], BLOCK):
         columns = slice(start, min(start + BLOCK, picture.shape[1]))
-        seen = padded[:, start : columns.stop + 2 * reach]
-        np.matmul(seen, weights[: columns.stop - start, : seen.shape[1]].T, out=along[:, columns])
+        strip = padded[:, start : columns.stop + 2 * reach]
+        np.matmul(strip, weights[: columns.stop - start, : strip.shape[1]].T, out=along[:, columns])
     return along
 
 

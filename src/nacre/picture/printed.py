@@ -57,8 +57,8 @@ def text_mask(
         draw.rectangle(box, outline=255 - paper, fill=None if width else 255 - paper, width=max(width, 1))
     for text, (x, y), size in texts:
         font = ImageFont.load_default(size)
-        left = 0.5 * (shape[1] - draw.textlength(text, font=font)) if x is None else x
-        draw.text((left, y), text, fill=255 - paper, font=font)
+        x_left = 0.5 * (shape[1] - draw.textlength(text, font=font)) if x is None else x
+        draw.text((x_left, y), text, fill=255 - paper, font=font)
     return np.asarray(np.asarray(image, dtype=float) / 255.0)
 
 
@@ -168,10 +168,10 @@ def _fibres(rows: int, columns: int) -> Array:
 def banknote_print(rows: int = 1024) -> Array:
     """Luminous reflectance `[row, column]` of the printed paper."""
     light, inks = note_drawing(rows, NOTE_WIDTH / NOTE_HEIGHT)
-    seen = PAPER * light
+    luminous = PAPER * light
     for name, share in inks.items():
-        seen = seen * (1.0 - share) + INKS[name] * share
-    return np.asarray(seen)
+        luminous = luminous * (1.0 - share) + INKS[name] * share
+    return np.asarray(luminous)
 
 
 def _bent(

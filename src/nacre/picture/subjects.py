@@ -105,13 +105,13 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
         raise NacreError(f"shape {path}: {count} triangles; at most {MAX_FACES}")
     names = sorted({part.material for part in parts})
     if len(names) > 1:
-        shown = ", ".join(name or "(without a name)" for name in names[:4])
-        logger.warning("shape %s has the materials %s; the recipe covers them all", path, shown)
+        listed = ", ".join(name or "(without a name)" for name in names[:4])
+        logger.warning("shape %s has the materials %s; the recipe covers them all", path, listed)
     turn = TO_Z_UP[up or ("y" if path.suffix.lower() in Y_UP else "z")]
     if not all(map(_is_sound, parts)) or not any(np.ptp(part.vertices, axis=0).max() > 0 for part in parts):
         raise NacreError(f"shape {path}: its vertices are not finite, all at one place, or missing")
-    whole = np.concatenate([part.vertices for part in parts]) @ turn.T
-    surface = merge([_surface(part, turn, whole) for part in parts])
+    vertices = np.concatenate([part.vertices for part in parts]) @ turn.T
+    surface = merge([_surface(part, turn, vertices) for part in parts])
     if not _has_area(surface.vertices, surface.faces):
         raise NacreError(f"shape {path}: no triangle of it has an area; its vertices lie along lines")
     return outward(surface)
@@ -127,13 +127,13 @@ def _is_sound(part: Triangles) -> bool:
     )
 
 
-def _surface(part: Triangles, turn: NDArray[np.float64], whole: NDArray[np.float64]) -> Mesh:
+def _surface(part: Triangles, turn: NDArray[np.float64], all_vertices: NDArray[np.float64]) -> Mesh:
     """Return a part with z up, and with cylindrical uv if it has none."""
     length = np.linalg.norm(part.normals, axis=1, keepdims=True)
     normals = np.where(length > 0, part.normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0]) @ turn.T
     vertices = part.vertices @ turn.T
     if part.uv is None:
-        return open_seam(Mesh(vertices, normals, _wrapped_uv(vertices, whole), part.faces))
+        return open_seam(Mesh(vertices, normals, _wrapped_uv(vertices, all_vertices), part.faces))
     return Mesh(vertices, normals, part.uv, part.faces)
 
 
@@ -147,9 +147,9 @@ def _has_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> bool:
     return False
 
 
-def _wrapped_uv(vertices: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float64]:
+def _wrapped_uv(vertices: NDArray[np.float64], all_vertices: NDArray[np.float64]) -> NDArray[np.float64]:
     """Cylindrical uv about the vertical axis of the whole mesh."""
-    low, high = whole.min(axis=0), whole.max(axis=0)
+    low, high = all_vertices.min(axis=0), all_vertices.max(axis=0)
     d = vertices - 0.5 * (low + high)
     height = max(float(high[2] - low[2]), 1e-12)
     return np.stack([0.5 + np.arctan2(d[:, 1], d[:, 0]) / (2 * np.pi), (vertices[:, 2] - low[2]) / height], axis=1)
@@ -370,9 +370,9 @@ def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
         for part, transform in _placed(read)
         if isinstance(part, trimesh.Trimesh) and len(part.faces)
     ]
-    bare = [number for number, part in enumerate(parts) if not len(part.normals)]
-    is_small = PAIRS_A_FACE * sum(len(parts[number].faces) for number in bare) <= MAX_PAIRS
-    for group in [bare] if is_small and bare else [[number] for number in bare]:
+    without_normals = [number for number, part in enumerate(parts) if not len(part.normals)]
+    is_small = PAIRS_A_FACE * sum(len(parts[number].faces) for number in without_normals) <= MAX_PAIRS
+    for group in [without_normals] if is_small and without_normals else [[number] for number in without_normals]:
         for number, part in zip(group, _with_normals([parts[number] for number in group], crease_deg), strict=True):
             parts[number] = part
     return parts
@@ -384,13 +384,13 @@ def _with_normals(parts: list[Triangles], crease_deg: float) -> list[Triangles]:
     faces = np.concatenate([part.faces + start for part, start in zip(parts, starts)])
     of, normals, faces = creased(np.concatenate([part.vertices for part in parts]), faces, crease_deg)
     ends = np.cumsum([len(part.faces) for part in parts])[:-1]
-    found = []
+    complete = []
     for part, start, own in zip(parts, starts, np.split(faces, ends)):
         used, inverse = np.unique(own, return_inverse=True)
         old = of[used] - start
         uv = None if part.uv is None else part.uv[old]
-        found.append(Triangles(part.vertices[old], normals[used], uv, inverse.reshape(-1, 3), part.material))
-    return found
+        complete.append(Triangles(part.vertices[old], normals[used], uv, inverse.reshape(-1, 3), part.material))
+    return complete
 
 
 def _placed(read: Any) -> list[tuple[Any, NDArray[np.float64]]]:
@@ -400,11 +400,11 @@ def _placed(read: Any) -> list[tuple[Any, NDArray[np.float64]]]:
     """
     if not hasattr(read, "graph"):
         return [(read, np.eye(4))]
-    found = []
+    placed = []
     for node in read.graph.nodes_geometry:
         transform, name = read.graph[node]
-        found.append((read.geometry[name], np.asarray(transform, dtype=np.float64)))
-    return found
+        placed.append((read.geometry[name], np.asarray(transform, dtype=np.float64)))
+    return placed
 
 
 def _is_flat(path: Path) -> bool:
@@ -504,17 +504,17 @@ def _named(text: bytes) -> bytes | None:
     """`with_materials` for the JSON; None without changes."""
     try:
         tree = json.loads(text)
-        bare = [
+        unnamed = [
             primitive
             for mesh in tree.get("meshes", ())
             for primitive in mesh.get("primitives", ())
             if "TEXCOORD_0" in primitive.get("attributes", {}) and "material" not in primitive
         ]
-        if not bare:
+        if not unnamed:
             return None
         materials = tree.setdefault("materials", [])
         materials.append({})
-        for primitive in bare:
+        for primitive in unnamed:
             primitive["material"] = len(materials) - 1
     except (ValueError, AttributeError, TypeError, RecursionError):
         return None  # the reader reports the error
@@ -539,8 +539,8 @@ def with_triangles(content: bytes) -> bytes:
         for polygon in polygons:
             corners = polygon[1].split()
             numbers = [int(corner.partition("/")[0]) for corner in corners]
-            known = bisect_left(starts, polygon.start())  # negative numbers count back from the last vertex
-            triangles = cut(points[[number - 1 if number > 0 else known + number for number in numbers]])
+            previous = bisect_left(starts, polygon.start())  # negative numbers count back from the last vertex
+            triangles = cut(points[[number - 1 if number > 0 else previous + number for number in numbers]])
             if triangles:
                 lines = ("f " + " ".join(corners[k] for k in triangle) for triangle in triangles)
                 parts += [text[last : polygon.start()], "\n".join(lines)]
@@ -566,8 +566,8 @@ def cut(points: NDArray[np.float64]) -> list[list[int]]:
         return []
     triangles = mapbox_earcut.triangulate_float64(flat, np.array([len(flat)], dtype=np.uint32)).reshape(-1, 3)
     is_reversed = _areas(*flat[triangles].transpose(1, 0, 2)).sum() < 0
-    found: list[list[int]] = (triangles[:, ::-1] if is_reversed else triangles).tolist()
-    return found
+    triangles_cut: list[list[int]] = (triangles[:, ::-1] if is_reversed else triangles).tolist()
+    return triangles_cut
 
 
 def _areas(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -104,8 +104,8 @@ def draw_track(axes: Axes, points: Array, colours: Array, labels: list[str] | No
     axes.plot(points[:, 0], points[:, 1], color=ink, linewidth=0.6, zorder=2)
     axes.scatter(points[:, 0], points[:, 1], s=13, c=colours, edgecolors=style.INK, linewidths=0.35, zorder=3)
     if labels and len(labels) == len(points):
-        apart = points[-1] - points[0]
-        out = apart / max(float(np.linalg.norm(apart)), 1e-9) if len(points) > 1 else np.array([1.0, 1.0])
+        offset = points[-1] - points[0]
+        out = offset / max(float(np.linalg.norm(offset)), 1e-9) if len(points) > 1 else np.array([1.0, 1.0])
         for i, way in {0: -out, len(points) - 1: out}.items():
             axes.annotate(
                 labels[i],
@@ -280,10 +280,10 @@ def angle_tracks(
     """
     gloss = GLOSS_DEG if angles_deg is None else np.atleast_1d(np.asarray(angles_deg, dtype=float))
     radial = RADIAL_DEG if angles_deg is None else gloss[(gloss >= RADIAL_DEG[0]) & (gloss <= RADIAL_DEG[-1])]
-    found = {"gloss": Track(gloss, _gloss(bsdf, GLOSS_HALF_DEG, gloss, evaluate))}
+    tracks = {"gloss": Track(gloss, _gloss(bsdf, GLOSS_HALF_DEG, gloss, evaluate))}
     if len(radial):
-        found["diffuse"] = Track(radial, _scattered(bsdf, radial, radial, evaluate))
-    return _bright(found, bsdf.wavelengths_nm)
+        tracks["diffuse"] = Track(radial, _scattered(bsdf, radial, radial, evaluate))
+    return _bright(tracks, bsdf.wavelengths_nm)
 
 
 def number_tracks(
@@ -410,9 +410,9 @@ def material_tracks(
     """Draw material tracks over the angle, or over a parameter; `lightness` scales a*, b*."""
     if over is None:
         bsdf = colour_bsdf(material, illuminant, wavelengths_nm)
-        found = angle_tracks(bsdf, angles_deg, evaluate)
+        tracks = angle_tracks(bsdf, angles_deg, evaluate)
         return tracks_figure(
-            found, bsdf.wavelengths_nm, illuminant=illuminant, title=material.name, lightness=lightness
+            tracks, bsdf.wavelengths_nm, illuminant=illuminant, title=material.name, lightness=lightness
         )
     if angles_deg is not None:
         raise UnsupportedError("tracks run over the angle or over a number; give angles or a number, not both")
@@ -424,5 +424,5 @@ def material_tracks(
     material = material.at_low_fidelity()
     made = [material.vary({path: float(step)}) for step in steps]
     grid = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
-    found, nm = number_tracks(made, steps, evaluate, grid, illuminant)
-    return tracks_figure(found, nm, ".".join(path.split(".")[-2:]), illuminant, material.name, lightness)
+    tracks, nm = number_tracks(made, steps, evaluate, grid, illuminant)
+    return tracks_figure(tracks, nm, ".".join(path.split(".")[-2:]), illuminant, material.name, lightness)

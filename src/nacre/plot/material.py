@@ -91,13 +91,13 @@ def material_figure(
     if kind in ("spectrum", "ribbon", "chromaticity"):
         defaults = {"spectrum": SPECTRUM_ANGLES_DEG, "ribbon": RIBBON_ANGLES_DEG, "chromaticity": TRACK_ANGLES_DEG}
         angles = np.atleast_1d(np.asarray(defaults[kind] if angles_deg is None else angles_deg, dtype=float))
-        asked = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
-        spectrum = colour_spectrum(material, np.radians(angles), illuminant, wavelengths_nm=asked)
+        requested_nm = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        spectrum = colour_spectrum(material, np.radians(angles), illuminant, wavelengths_nm=requested_nm)
         return _over_angles(kind, spectrum, illuminant, material.name)
     if kind in polarisation.FIGURES:
-        asked = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        requested_nm = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         chosen = np.asarray(polarisation.ANGLES_DEG[kind]) if angles is None else angles
-        return polarisation.FIGURES[kind](material.spectrum(np.radians(chosen), asked, "mueller"), material.name)
+        return polarisation.FIGURES[kind](material.spectrum(np.radians(chosen), requested_nm, "mueller"), material.name)
     if kind in ("slice", "lobe"):
         bsdf = colour_bsdf(material, illuminant, None if wavelengths_nm is None else np.asarray(wavelengths_nm))
         is_walk = any(lobe.is_stochastic for lobe in bsdf.lobes)
@@ -146,10 +146,10 @@ def _over_a_number(
         names = {name: None for one in spectra for name in one.parts()}
         parts = {name: np.stack([one.parts().get(name, zero[None])[0] for one in spectra]) for name in names}
         at = f"{material.name}, {angles[0]:g}\u00b0"
-        found = Spectrum(nm, steps, **parts)
+        spectrum = Spectrum(nm, steps, **parts)
         if kind == "spectrum":
-            return spectrum_figure(found, illuminant, at, label)
-        return ribbon_figure(found, illuminant, at, label)
+            return spectrum_figure(spectrum, illuminant, at, label)
+        return ribbon_figure(spectrum, illuminant, at, label)
     values = np.stack(
         [sum((v for name, v in one.parts().items() if name.endswith("reflectance")), 0.0 * nm) for one in spectra]
     )
@@ -210,8 +210,8 @@ def data_figure(kind: str, data: Mapping[str, Any], illuminant: str = "D65", tit
     coloured = {"platelet": platelet_figure, "microscope": microscope_figure}
     if kind in coloured:
         return coloured[kind](data, illuminant)
-    known = ["colour-map", *makers, *coloured]
-    raise UnsupportedError(f'no figure of arrays is of kind "{kind}".{did_you_mean(kind, known)}')
+    allowed = ["colour-map", *makers, *coloured]
+    raise UnsupportedError(f'no figure of arrays is of kind "{kind}".{did_you_mean(kind, allowed)}')
 
 
 def _colour_map(data: Mapping[str, Any], illuminant: str) -> Figure:

@@ -69,15 +69,15 @@ def _scans(measurement: Measurement) -> list[tuple[str, np.ndarray, np.ndarray]]
     turn = np.radians(data["phi_o_deg"] - data["phi_i_deg"])
     flat = (np.abs(np.sin(turn)) < IN_PLANE) & (data["phi_i_deg"] == data["phi_i_deg"][0])
     out = np.where(np.cos(turn) < 0, data["theta_o_deg"], -data["theta_o_deg"])
-    found = []
+    scans = []
     for incidence in np.unique(data["theta_i_deg"][flat]):
         rows = flat & (data["theta_i_deg"] == incidence) & np.isfinite(values) & (values > 0)
         angles, place = np.unique(np.round(out[rows], 6), return_inverse=True)
         if len(angles) > 1:
             mean = np.bincount(np.ravel(place), values[rows]) / np.bincount(np.ravel(place))
             own = f"{measurement.name}: " if measurement.name else ""
-            found.append((f"{own}{incidence:.4g} degrees", angles, mean))
-    return found[:: max(1, len(found) // MAX_SCANS)]
+            scans.append((f"{own}{incidence:.4g} degrees", angles, mean))
+    return scans[:: max(1, len(scans) // MAX_SCANS)]
 
 
 def _curves(measurement: Measurement) -> list[tuple[str, np.ndarray, np.ndarray]]:
@@ -171,15 +171,15 @@ def texture_figure(coatings: Sequence[tuple[str, Mapping[str, tuple[Array, float
         axes = figure.subplots(len(coatings), columns, squeeze=False)
         for row, (name, images) in zip(axes, coatings, strict=True):
             for axis, (light, (image, side_mm)) in zip(row, images.items(), strict=False):
-                shown = min(CROP_MM, side_mm)
-                count = max(1, round(len(image) * shown / side_mm))
+                side = min(CROP_MM, side_mm)
+                count = max(1, round(len(image) * side / side_mm))
                 exposure = DIFFUSE_EXPOSURE if light == "diffuse" else EXPOSURE
                 crop = image[:count, :count] / max(exposure * float(image.mean()), 1e-12)
                 axis.imshow(
-                    srgb_encode(np.clip(crop, 0.0, 1.0)), cmap="gray", vmin=0.0, vmax=1.0, extent=(0, shown, 0, shown)
+                    srgb_encode(np.clip(crop, 0.0, 1.0)), cmap="gray", vmin=0.0, vmax=1.0, extent=(0, side, 0, side)
                 )
                 axis.set_title("diffuse light" if light == "diffuse" else f"lamp at {light} degrees")
-                axis.set_xticks([0, shown], ["0", f"{shown:g} mm"])
+                axis.set_xticks([0, side], ["0", f"{side:g} mm"])
                 axis.set_yticks([])
             row[0].set_ylabel(name)
         return figure

@@ -199,8 +199,8 @@ def _layers(axes: Axes, sheet: DesignSheet) -> None:
         axes.add_patch(Rectangle((0, edges[i]), 0.42, height, facecolor=face, alpha=0.55 if is_layer else 1.0,
                                  edgecolor="white", linewidth=0.6))  # fmt: skip
         if len(sheet.media) <= MAX_NAMED:
-            known = _short(name)
-            text = f"{known}, {sheet.thicknesses_nm[i - 1]:.4g} nm" if is_layer else known
+            name_length = _short(name)
+            text = f"{name_length}, {sheet.thicknesses_nm[i - 1]:.4g} nm" if is_layer else name_length
             axes.text(0.46, beside[i], text, va="center", fontsize=min(6.0, 150.0 / len(sheet.media)))
     style.panel_title(axes, f"Layers, {total:.0f} nm in all")
 

@@ -257,8 +257,8 @@ def circular_figure(spectrum: Spectrum, title: str = "") -> Figure:
     Raises:
         NacreError: the spectrum has no Mueller matrices.
     """
-    found = circular_reflection(_matrices(spectrum))
-    panels = {"Right circular": found.right, "Left circular": found.left, "Dissymmetry g": found.dissymmetry}
+    result = circular_reflection(_matrices(spectrum))
+    panels = {"Right circular": result.right, "Left circular": result.left, "Dissymmetry g": result.dissymmetry}
     with style.house_style():
         figure = style.new_figure(style.COLUMN_IN, 4.6)
         for row, (name, values) in enumerate(panels.items()):
@@ -290,8 +290,8 @@ def michel_levy_figure(spectrum: Spectrum, title: str = "") -> Figure:
     if not light.spans_colour(lam):
         raise NacreError("the Michel-Levy chart needs wavelengths over the whole visible range")
     matrices = spectrum.mueller_transmitted[0]
-    own, found = crossed_polarisers(matrices), retardance_nm(matrices, lam)
-    last = MICHEL_LEVY_NM if found is None else max(MICHEL_LEVY_NM, 1.1 * found)
+    own, retardance = crossed_polarisers(matrices), retardance_nm(matrices, lam)
+    last = MICHEL_LEVY_NM if retardance is None else max(MICHEL_LEVY_NM, 1.1 * retardance)
     retardances = np.linspace(0.0, last, 1001)
     colours = light.spectrum_to_srgb(np.sin(np.pi * retardances[:, None] / lam) ** 2, lam)
     with style.house_style():
@@ -299,7 +299,7 @@ def michel_levy_figure(spectrum: Spectrum, title: str = "") -> Figure:
         upper, lower = figure.subplots(2, 1, height_ratios=(1, 7))
         upper.imshow(light.spectrum_to_srgb(own, lam)[None, None], aspect="auto")
         upper.set(xticks=[], yticks=[])
-        at = "" if found is None else f", retardance {found:.0f} nm"
+        at = "" if retardance is None else f", retardance {retardance:.0f} nm"
         style.panel_title(upper, f"Between crossed polarisers{': ' + title if title else ''}{at}")
         lower.imshow(colours[None], extent=(0.0, last, 0.0, THICKEST_UM), aspect="auto", origin="lower")
         for birefringence in BIREFRINGENCES:
@@ -310,8 +310,8 @@ def michel_levy_figure(spectrum: Spectrum, title: str = "") -> Figure:
             lower.annotate(
                 f" {birefringence:g}", place, fontsize=6, va=side, ha="center" if end < last else "left", clip_on=False
             )
-        if found is not None:
-            lower.axvline(found, color="black", linewidth=1.2, linestyle="--")
+        if retardance is not None:
+            lower.axvline(retardance, color="black", linewidth=1.2, linestyle="--")
         lower.set(xlim=(0.0, last), ylim=(0.0, THICKEST_UM), xlabel="Retardance (nm)", ylabel="Thickness (um)")
         style.small_print(figure, "Colours under D65, of equal retardance at all wavelengths; lines: birefringence")
     return figure

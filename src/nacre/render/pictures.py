@@ -200,11 +200,11 @@ def animate(
     series = _Series.build(material, motion, frames, has_time, settings)
     with output_folder(folder), progress_bar("animating", progress) as report:
         run = _Run(series, names, report)
-        is_whole = run.finish(range(1), exposure, Workers(jobs=1))  # sets the exposure of the others
+        is_complete = run.finish(range(1), exposure, Workers(jobs=1))  # sets the exposure of the others
         step = frames if workers.cluster else 1
         for start in range(1, frames, step):
-            is_whole = is_whole and run.finish(range(start, min(start + step, frames)), run.stops, workers)
-        if is_whole:
+            is_complete = is_complete and run.finish(range(start, min(start + step, frames)), run.stops, workers)
+        if is_complete:
             join(names, path)
             return Animation(path, names, run.kept, False)
     return Animation(None, tuple(name for name in names if name in run.finished), run.kept, True)
@@ -344,8 +344,8 @@ class _Run:
         self.finished.append(self._names[index])
         self.stops = float(stats["exposure_stops"]) if index == 0 else self.stops
         made = len(self.finished) - self.kept  # kept frames take no time
-        left = (time.monotonic() - self._begun) / made * (total - len(self.finished))
-        self._report(len(self.finished), total, left)
+        remaining_s = (time.monotonic() - self._begun) / made * (total - len(self.finished))
+        self._report(len(self.finished), total, remaining_s)
 
 
 def _check(path: Path, frames: int, settings: dict[str, Any]) -> None:
@@ -412,10 +412,10 @@ def _finished(path: Path) -> dict[str, Any]:
     from PIL import Image
 
     try:
-        found = read_provenance(path)
+        provenance = read_provenance(path)
         with Image.open(path) as picture:
             pixels = hashlib.sha256(np.asarray(picture).tobytes()).hexdigest()
-        return found if found.get("pixels") == pixels else {}
+        return provenance if provenance.get("pixels") == pixels else {}
     except (OSError, ValueError, SyntaxError):
         return {}
 

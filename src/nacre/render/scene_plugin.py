@@ -92,12 +92,12 @@ def from_properties(properties: Any) -> Any:
 
 
 def _source(properties: Any) -> Bsdf:
-    given = [key for key in ("recipe", "file", "bsdf") if key in properties]
-    if len(given) != 1:
-        got = f"got {', '.join(given)}" if given else "got none"
+    stated = [key for key in ("recipe", "file", "bsdf") if key in properties]
+    if len(stated) != 1:
+        got = f"got {', '.join(stated)}" if stated else "got none"
         raise RecipeError(f'scene: a "nacre" BSDF needs exactly one of recipe, file, bsdf; {got}')
-    value = str(properties[given[0]])
-    if given[0] != "bsdf":
+    value = str(properties[stated[0]])
+    if stated[0] != "bsdf":
         return load_bsdf(_resolved(value))
     if value not in _registered:
         raise RecipeError(f'scene: bsdf = "{value}" is not registered; register the Bsdf and hold a reference to it')
@@ -118,5 +118,5 @@ def _resolved(path: str) -> str:
         return path
     import mitsuba as mi
 
-    found = str(mi.file_resolver().resolve(path))
-    return found if os.path.exists(found) else path
+    resolved = str(mi.file_resolver().resolve(path))
+    return resolved if os.path.exists(resolved) else path

@@ -246,12 +246,12 @@ def appearances(
             yield replace(final, is_draft=True)
         yield _graded(final, grades, illuminant, is_superseded, DRAFTS[0], incidence)
     else:
-        found = _solve(material, illuminant, is_superseded, QUICK, incidence)
-        yield _graded(found, grades_of(material), illuminant, is_superseded, QUICK, incidence)
+        appearance = _solve(material, illuminant, is_superseded, QUICK, incidence)
+        yield _graded(appearance, grades_of(material), illuminant, is_superseded, QUICK, incidence)
 
 
 def _graded(
-    found: Appearance,
+    appearance: Appearance,
     grades: Grades | None,
     illuminant: str,
     is_superseded: Callable[[], bool],
@@ -260,7 +260,7 @@ def _graded(
 ) -> Appearance:
     """Return the appearance with its colours at the nodes of the numbers that vary over the surface."""
     if grades is None:
-        return found
+        return appearance
     start = time.perf_counter()
     rows = []
     for node in grades.materials:
@@ -268,16 +268,16 @@ def _graded(
         wavelengths, parts, gloss, _ = _spectra(node, quality, is_superseded, incidence)
         rgb = [_rgb(part, wavelengths, illuminant, quality.angles_deg) for part in _split(parts, gloss)]
         transmitted = parts[TRANSMITTED_PARTS[0]]
-        has_light = found.transmitted_rgb is not None
+        has_light = appearance.transmitted_rgb is not None
         rgb.append(_rgb(transmitted if has_light else 0.0 * transmitted, wavelengths, illuminant, quality.angles_deg))
         rows.append(rgb)
     first, second = grades.shape
     tables = np.array(rows).transpose(1, 0, 2, 3).reshape(4, second, first, len(ANGLES_DEG), 3)
     return replace(
-        found,
+        appearance,
         grades={"tables": tables, "map": grades.place, "is_stepped": grades.is_stepped},
         lobe=None,  # its shape is that of the centre
-        seconds=found.seconds + time.perf_counter() - start,
+        seconds=appearance.seconds + time.perf_counter() - start,
     )
 
 
@@ -353,7 +353,7 @@ def _solve(
     mirror_rgb, gloss_rgb, diffuse_rgb = (
         _rgb(part, wavelengths, illuminant, angles_deg) for part in _split(parts, gloss)
     )
-    shown = _at_angles(mirror + diffuse, angles_deg)
+    at_angles = _at_angles(mirror + diffuse, angles_deg)
     alpha, facets, notes = _surface(material)
     lobe = None
     if np.any(diffuse > 0):
@@ -380,8 +380,8 @@ def _solve(
         gloss_alpha=0.0 if gloss is None else gloss.alpha,
         lobe=lobe,
         wavelengths_nm=wavelengths,
-        total=shown,
-        swatches=_swatches(shown, wavelengths),
+        total=at_angles,
+        swatches=_swatches(at_angles, wavelengths),
         is_draft=grid is not None,
         notes=tuple(notes),
         seconds=time.perf_counter() - start,
@@ -395,8 +395,8 @@ def _polarised(material: Material, wavelengths: Array, incidence: Incidence) -> 
     """Return the reflectance of the selected polarised light at `SHOWN_DEG`, `[shown angle, wavelength]`."""
     if incidence.polarisation == "both" or not mixes_polarisations(material):
         return None
-    found = spectrum_from(material, np.radians(SHOWN_DEG), wavelengths, incidence)
-    return None if found is None else np.nan_to_num(found.parts()[PARTS[0]])
+    spectrum = spectrum_from(material, np.radians(SHOWN_DEG), wavelengths, incidence)
+    return None if spectrum is None else np.nan_to_num(spectrum.parts()[PARTS[0]])
 
 
 def _spectra(
@@ -413,10 +413,10 @@ def _spectra(
     spectra, axis = [], 1  # concatenated along the wavelengths
     for band in bands:
         _check(is_superseded)
-        found = spectrum_from(material, theta, band, unpolarised)
-        if found is None:
+        spectrum = spectrum_from(material, theta, band, unpolarised)
+        if spectrum is None:
             break
-        spectra.append(found)
+        spectra.append(spectrum)
     if not spectra:
         bsdf, axis = material.bsdf(grid, keep=False), 0  # not cached: the next edit needs another one
         for angle in theta:
@@ -459,14 +459,14 @@ def _swatches(total: Array, wavelengths: Array) -> list[dict[str, Any]]:
         light.xyz_to_srgb_linear(light.adapt_xyz(own, white, light.SRGB_WHITE_XYZ))
         for own, white in zip(xyz, whites, strict=True)
     ]
-    shown = light.srgb_encode(light.clip_to_srgb(np.stack(linear)).rgb)  # one call: gamut mapping dominates the cost
+    encoded = light.srgb_encode(light.clip_to_srgb(np.stack(linear)).rgb)  # one call: gamut mapping dominates the cost
     return [
         {
             "lamp": lamp,
             "hex": [light.srgb_to_hex(colour) for colour in colours],
             "lab": np.round(light.xyz_to_lab(own, white), 1).tolist(),
         }
-        for lamp, colours, own, white in zip(LAMPS, shown, xyz, whites, strict=True)
+        for lamp, colours, own, white in zip(LAMPS, encoded, xyz, whites, strict=True)
     ]
 
 
@@ -555,8 +555,8 @@ def _lobe_values(material: Material, bsdf: Bsdf | None, wi: Array, wo: Array) ->
         return None, LOBE_NM
     if not any(lobe.is_stochastic for lobe in lobes):
         return (scattering.evaluate(wi, wo) if is_isotropic(scattering) else None), bsdf.wavelengths_nm
-    found = contract.surrogate_radiance(material.model, wi, wo, LOBE_NM)
-    return None if found is None else found[0] + found[1], LOBE_NM
+    radiance = contract.surrogate_radiance(material.model, wi, wo, LOBE_NM)
+    return None if radiance is None else radiance[0] + radiance[1], LOBE_NM
 
 
 # Numbers that vary over the surface, for the preview: a map, and the material at nodes of their ranges.
@@ -586,14 +586,14 @@ class Grades:
 
 def grades_of(material: Material) -> Grades | None:
     """Return a material's grades; None for a uniform one, or if more than two numbers vary."""
-    found = list(_textures(material.data, ()))
-    if not 1 <= len(found) <= MAX_VARYING:
+    textures = list(_textures(material.data, ()))
+    if not 1 <= len(textures) <= MAX_VARYING:
         return None
     axis = (np.arange(MAP_SIZE) + 0.5) / MAP_SIZE
     uv = np.stack(np.meshgrid(axis, axis), axis=-1)
-    counts = NODES[material.model.traits.is_quick, len(found)]
+    counts = NODES[material.model.traits.is_quick, len(textures)]
     place, values, stepped = np.zeros((MAP_SIZE, MAP_SIZE, 2)), [], False
-    for i, (path, table) in enumerate(found):
+    for i, (path, table) in enumerate(textures):
         texture = _built(material, table, path)
         if texture is None:
             return None
@@ -606,7 +606,7 @@ def grades_of(material: Material) -> Grades | None:
     first, second = values[0], values[1] if len(values) == MAX_VARYING else [None]
     materials = [
         material_from_data(
-            _with(_with(material.data, found[0][0], float(a)), found[-1][0], float(a if b is None else b)),
+            _with(_with(material.data, textures[0][0], float(a)), textures[-1][0], float(a if b is None else b)),
             material.context,
         )
         for b in second
@@ -691,10 +691,10 @@ def _colours(material: Material, geometries: list[Geometry], lamp: str) -> Array
     is_quick = model.traits.is_quick and not mixes_polarisations(
         material
     )  # mixed polarisations need angle tables, which take seconds
-    found = None if is_quick else surrogate_factors(material, geometries, grid)
-    is_known = isinstance(model, Surrogate) and model.surrogate_error is not None
-    if found is not None and (is_known or not np.any(found[1])):  # exact, or with a small error
-        xyz = spectrum_to_xyz(found[0] + found[1], grid, lamp, OBSERVER)
+    factors = None if is_quick else surrogate_factors(material, geometries, grid)
+    is_accurate = isinstance(model, Surrogate) and model.surrogate_error is not None
+    if factors is not None and (is_accurate or not np.any(factors[1])):  # exact, or with a small error
+        xyz = spectrum_to_xyz(factors[0] + factors[1], grid, lamp, OBSERVER)
         return np.asarray(xyz_to_lab(xyz, white_xyz(lamp, OBSERVER)))
     if not is_quick:
         raise UnsupportedError(f"This {model.traits.noun} {SLOW}.")
@@ -705,14 +705,14 @@ def _colours(material: Material, geometries: list[Geometry], lamp: str) -> Array
 
 def _texture(material: Material, lamp: str, is_fine: bool) -> dict[str, Any]:
     """Return rows of sparkle and graininess, or the reason why there are none."""
-    asked = [TextureQuantity.named(name, "texture", light=(lamp, OBSERVER)) for name in QUANTITY_NAMES]
+    quantities = [TextureQuantity.named(name, "texture", light=(lamp, OBSERVER)) for name in QUANTITY_NAMES]
     pairs: list[list[Any]]
     try:
         if is_fine:
             document = texture_document(measure_texture(material, None, "statistics", lamp, OBSERVER))
-            pairs = [_pair(document, each) for each in asked]
+            pairs = [_pair(document, each) for each in quantities]
         else:
-            pairs = [[float(value), None] for value in texture_values(material, asked, 0, "search")[0]]
+            pairs = [[float(value), None] for value in texture_values(material, quantities, 0, "search")[0]]
     except UnsupportedError as error:
         return {"reason": str(error)}
     return {

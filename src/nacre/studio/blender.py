@@ -42,7 +42,7 @@ def library(request: Mapping[str, Any], tell: Tell) -> bytes:
 
     A file that is not a recipe is listed with its error as `about` and an empty family.
     """
-    found = [
+    entries = [
         {"name": e.name, "family": e.family, "about": e.about, "path": str(e.path)} for e in examples() if e.is_recipe
     ]
     for folder in request.get("folders", ()):
@@ -50,10 +50,10 @@ def library(request: Mapping[str, Any], tell: Tell) -> bytes:
             try:
                 material = load(path)
             except NacreError as error:
-                found.append({"name": path.stem, "family": "", "about": str(error), "path": str(path)})
+                entries.append({"name": path.stem, "family": "", "about": str(error), "path": str(path)})
                 continue
-            found.append({"name": path.stem, "family": str(material.get("family")), "about": "", "path": str(path)})
-    return json.dumps(found).encode()
+            entries.append({"name": path.stem, "family": str(material.get("family")), "about": "", "path": str(path)})
+    return json.dumps(entries).encode()
 
 
 def thumbnails(request: Mapping[str, Any], tell: Tell) -> None:
@@ -86,8 +86,8 @@ def solve(request: Mapping[str, Any], tell: Tell) -> None:
         NacreError: the recipe is not valid, a table cannot hold it, or the folder cannot be written.
     """
     path = resolve_recipe_path(str(request["recipe"]))
-    given = {str(name): float(value) for name, value in dict(request.get("numbers", {})).items()}
-    material = load(path).vary(given)
+    requested = {str(name): float(value) for name, value in dict(request.get("numbers", {})).items()}
+    material = load(path).vary(requested)
     numbers = free_numbers(material)
 
     def progress(what: str) -> None:
@@ -114,13 +114,13 @@ def solve(request: Mapping[str, Any], tell: Tell) -> None:
 
 def free_numbers(material: Material) -> list[dict[str, Any]]:
     """Return a recipe's numbers: path, value, and the range of a slider; at most `MAX_NUMBERS`."""
-    found = []
+    numbers = []
     for path, value in numbers_of(material.data).items():
         if path.startswith(NO_NUMBERS) or path.rpartition(".")[2] in NO_NUMBERS:
             continue
         low, high = slider_range(path, value)
-        found.append({"path": path, "value": value, "low": low, "high": high, "is_axis": False})
-    return found[:MAX_NUMBERS]
+        numbers.append({"path": path, "value": value, "low": low, "high": high, "is_axis": False})
+    return numbers[:MAX_NUMBERS]
 
 
 def slider_range(path: str, value: float) -> tuple[float, float]:
@@ -205,18 +205,18 @@ def write_extension(path: Path, recipes: Sequence[str] = (), tell: Tell = lambda
     if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
         raise NacreError(f'two recipes are called "{twice}"; allowed: file names that differ')
     with tempfile.TemporaryDirectory() as folder:
-        held: dict[str, bytes] = {name: text.encode() for name, text in extension_files().items()}
+        files: dict[str, bytes] = {name: text.encode() for name, text in extension_files().items()}
         for recipe in recipes:
             tell({"kind": "progress", "what": f"solving {recipe}"})
             name = Path(recipe).stem
             solve({"recipe": recipe, "folder": f"{folder}/{name}"}, lambda event: None)
             for file in sorted(Path(folder, name).rglob("*")):
                 if file.is_file():
-                    held[f"{LIBRARY}/{name}/{file.relative_to(Path(folder, name)).as_posix()}"] = file.read_bytes()
+                    files[f"{LIBRARY}/{name}/{file.relative_to(Path(folder, name)).as_posix()}"] = file.read_bytes()
         buffer = io.BytesIO()
         with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as packed:
-            for name, content in held.items():
+            for name, content in files.items():
                 packed.writestr(zipfile.ZipInfo(name, TIME), content, zipfile.ZIP_DEFLATED)
         with atomic_path(path) as temporary:
             temporary.write_bytes(buffer.getvalue())
-    return list(held)
+    return list(files)

@@ -74,13 +74,13 @@ def design(request: Mapping[str, Any], emit: Emit) -> None:
     emit({"kind": "begun", "seconds": search_spec.seconds})
     budget = Budget(search_spec.evaluations or search.default_evaluations, search_spec.seconds)
     result = search.run(budget, _Progress(task, request, emit).update)
-    found = result.solutions[: search_spec.solutions]
+    best = result.solutions[: search_spec.solutions]
     solutions = []
-    for _, changes in found:
+    for _, changes in best:
         values = {path: rounded(value) for path, value in changes.items()}
         try:
             material = task.material.vary(values)
-            seconds = FINAL_SHARE * search_spec.seconds / len(found)
+            seconds = FINAL_SHARE * search_spec.seconds / len(best)
             results, _ = evaluate(material, task.targets, task.spec.light, seed=search_spec.seed, seconds=seconds)
         except NacreError:
             continue
@@ -187,16 +187,16 @@ def gamut(request: Mapping[str, Any], emit: Emit) -> None:
     for row in rows:
         targets = [target for target in task.targets if target.geometry == row]
         start = time.monotonic()
-        found = find_gamut(
+        sampled = find_gamut(
             task.material, request["parameters"], str(row), points=GAMUT_POINTS,
             seconds=(1.0 - LOCAL_SHARE) * seconds, illuminant=lamp, observer=OBSERVER,
         )  # fmt: skip
         colour = _colour_function(task, row, lamp, white)
-        labs = list(found.lab)
+        labs = list(sampled.lab)
         results: list[dict[str, Any]] = []
         for target in targets:
             until = start + seconds * (1.0 - LOCAL_SHARE + LOCAL_SHARE * (len(results) + 1) / len(targets))
-            new, distance = _local_search(task, target, found.lab, found.structures, colour, until)
+            new, distance = _local_search(task, target, sampled.lab, sampled.structures, colour, until)
             labs += new
             results.append({
                 "lab": None if target.lab is None else np.round(target.lab, 2).tolist(), "target": target.asked,
@@ -205,7 +205,7 @@ def gamut(request: Mapping[str, Any], emit: Emit) -> None:
         points = [[*np.round(lab, 1).tolist(), lab_hex(lab, white)] for lab in labs]
         emit({
             "kind": "gamut", "geometry": str(row), "points": points, "targets": results,
-            "share_of_srgb": found.share_of_srgb, "failed": found.failed,
+            "share_of_srgb": sampled.share_of_srgb, "failed": sampled.failed,
         })  # fmt: skip
 
 
@@ -251,13 +251,13 @@ def _local_search(
     distances = distance_to(target, labs)
     nearest = int(np.argmin(distances))
     best = float(distances[nearest])
-    found: list[Array] = []
+    colours: list[Array] = []
     place = point_of(task.parameters, structures[nearest])
     generator = np.random.default_rng(0)
     for step in STEPS:
         for _ in range(TRIES):
             if place is None or best <= 0.5 * target.tolerance or time.monotonic() > until:
-                return found, best
+                return colours, best
             tried = np.clip(place + step * generator.standard_normal(len(place)), 0.0, 1.0)
             lab = colour(tried)
             if lab is None:
@@ -265,8 +265,8 @@ def _local_search(
             distance = float(distance_to(target, lab[None])[0])
             if distance < best:
                 best, place = distance, tried
-                found.append(lab)
-    return found, best
+                colours.append(lab)
+    return colours, best
 
 
 def tolerance(request: Mapping[str, Any], emit: Emit) -> None:
@@ -286,7 +286,7 @@ def tolerance(request: Mapping[str, Any], emit: Emit) -> None:
     nominal = _reflected_xyz(material, angles, grid, lamp, incidence)
     generator = np.random.default_rng(0)
     values = draw(tolerances, generator, draws).values
-    found: list[Array] = []
+    colours: list[Array] = []
     failed, last_event = 0, time.monotonic()
 
     def event() -> dict[str, Any]:
@@ -294,21 +294,21 @@ def tolerance(request: Mapping[str, Any], emit: Emit) -> None:
             "asked": draws,
             "failed": failed,
             "tolerances": len(tolerances),
-            **_scatter(nominal, found, angles, lamp),
+            **_scatter(nominal, colours, angles, lamp),
         }
 
     for i in range(draws):
         try:
             varied = material.vary({path: float(drawn[i]) for path, drawn in values.items()})
-            found.append(_reflected_xyz(varied, angles, grid, lamp, incidence))
+            colours.append(_reflected_xyz(varied, angles, grid, lamp, incidence))
         except NacreError:
             failed += 1
-        if time.monotonic() - start > SCATTER_S and len(found) >= MIN_DRAWS:
+        if time.monotonic() - start > SCATTER_S and len(colours) >= MIN_DRAWS:
             break
-        if time.monotonic() - last_event > UPDATE_S and len(found) >= MIN_DRAWS:
+        if time.monotonic() - last_event > UPDATE_S and len(colours) >= MIN_DRAWS:
             last_event = time.monotonic()
             emit(event())
-    if not found:
+    if not colours:
         raise NacreError("no material within these tolerances can be computed")
     emit(event())
 
@@ -351,9 +351,9 @@ def _reflected_xyz(material: Material, angles_deg: Array, grid: Array | None, la
     return np.asarray(light.spectrum_to_xyz(total, spectrum.wavelengths_nm, lamp))
 
 
-def _scatter(nominal: Array, found: list[Array], angles: Array, lamp: str) -> dict[str, Any]:
+def _scatter(nominal: Array, colours: list[Array], angles: Array, lamp: str) -> dict[str, Any]:
     white = light.white_xyz(lamp)
-    xyz = np.stack(found)
+    xyz = np.stack(colours)
     rgb = light.xyz_to_srgb_linear(light.adapt_xyz(xyz, white, light.SRGB_WHITE_XYZ))
     distance = np.asarray(light.delta_e_2000(light.xyz_to_lab(nominal, white), light.xyz_to_lab(xyz, white)))
     return {
@@ -454,29 +454,29 @@ def list_parameters(material: Material) -> dict[str, Any]:
     """
     if "heights" in material.data:
         return {"geometry": GEOMETRIES[0], "parameters": [], "refused": RELIEF_REFUSED}
-    whole = inlined(material)
-    numbers = list(whole.parameters.items())[:MAX_LISTED]
+    full = inlined(material)
+    numbers = list(full.parameters.items())[:MAX_LISTED]
     selected = [path for path, _ in numbers if THICKNESS.search(path) and "[" in path]  # layers
     selected = selected or [path for path, _ in numbers if LENGTH.search(path)]
     listed = []
     for path, value in numbers:
         if path.rpartition(".")[2] in OPTICAL_CONSTANTS or not math.isfinite(value) or value == 0.0:
             continue
-        bounds = _bounds(whole, path, value)
+        bounds = _bounds(full, path, value)
         if bounds is None:
             continue
-        holder, _ = find_by_path(whole.data, path, whole.context.source)
+        holder, _ = find_by_path(full.data, path, full.context.source)
         about = holder.get("material") if isinstance(holder, Mapping) else None
         listed.append({
             "path": path, "value": value, "low": bounds[0], "high": bounds[1],
             "about": about if isinstance(about, str) else "", "selected": path in selected,
         })  # fmt: skip
-    found: dict[str, Any] = {"geometry": _default_geometry(material), "parameters": listed}
+    document: dict[str, Any] = {"geometry": _default_geometry(material), "parameters": listed}
     if not listed:
-        found["refused"] = (
+        document["refused"] = (
             f"this {material.model.traits.noun} has no variable number; [parameters] of the command also takes text"
         )
-    return found
+    return document
 
 
 def _default_geometry(material: Material) -> str:
@@ -489,8 +489,8 @@ def _default_geometry(material: Material) -> str:
     geometry = model.traits.default_geometry.split()[0]
     if geometry not in GEOMETRIES or model.traits.is_quick or is_direct(model):
         return geometry if geometry in GEOMETRIES else "aspecular"
-    found = model.spectrum(np.array([0.0]), PROBE_NM, "both", 0)  # None: it scatters and would have to be solved
-    return geometry if found is not None and found.specular_reflectance is not None else "aspecular"
+    spectrum = model.spectrum(np.array([0.0]), PROBE_NM, "both", 0)  # None: it scatters and would have to be solved
+    return geometry if spectrum is not None and spectrum.specular_reflectance is not None else "aspecular"
 
 
 def _bounds(material: Material, path: str, value: float) -> tuple[float, float] | None:

@@ -74,7 +74,7 @@ def report(request: Mapping[str, Any], emit: Emit) -> bytes:
 
     reports = [make_report(built(recipe), request["lamp"]) for recipe in request["recipes"]]
     documents = report_json(reports, [compare(each, reports[0]) for each in reports[1:]])
-    found: dict[str, Any] = {
+    content: dict[str, Any] = {
         "reports": [
             {
                 "colours": [{"kind": kind, **document[kind]} for kind in KINDS if document.get(kind)],
@@ -85,8 +85,8 @@ def report(request: Mapping[str, Any], emit: Emit) -> bytes:
     }
     if len(reports) > 1:
         compared = documents["differences_to_first"][0]
-        found["differences"] = {name: compared[name] for name in KINDS if name in compared}
-    return json.dumps(found).encode()
+        content["differences"] = {name: compared[name] for name in KINDS if name in compared}
+    return json.dumps(content).encode()
 
 
 def formats_of(material: Material) -> dict[str, list[str]]:
@@ -116,14 +116,14 @@ def read_file(body: Mapping[str, Any], opened: OpenedFolder) -> dict[str, Any]:
         raise NacreError(f"{verb} to {shown(to)} is not known; choose from {', '.join(known[verb])}")
     scene = read_choice(body, "scene", "sphere", SCENE_NAMES)
     light = read_choice(body, "light", None, NAMES)
-    given = body.get("options", {})
-    if not isinstance(given, dict):
+    stated = body.get("options", {})
+    if not isinstance(stated, dict):
         raise NacreError("the options of a file are not a table")
     options = {}
     for key in OPTIONS[verb]:
-        if given.get(key) is not None:
+        if stated.get(key) is not None:
             kind, low, high = NUMBERS[key]
-            value = read_number(given[key], key, low, high)
+            value = read_number(stated[key], key, low, high)
             if kind is int and value != int(value):
                 raise NacreError(f"{key} = {value:g} is not allowed; it should be a whole number")
             options[key] = kind(value)
@@ -152,16 +152,16 @@ def make_file(request: Mapping[str, Any], emit: Emit) -> bytes:
     with tempfile.TemporaryDirectory(prefix="nacre-studio-") as place:
         folder = Path(place)
         remarks = WRITERS[request["verb"]](material, request, folder, stem)
-        written = sorted(path for path in folder.rglob("*") if path.is_file())
-        total = sum(path.stat().st_size for path in written)
+        files = sorted(path for path in folder.rglob("*") if path.is_file())
+        total = sum(path.stat().st_size for path in files)
         if total > MAX_FILE:
             raise NacreError(
                 f"{total >> 20} MiB; the page takes files up to {MAX_FILE >> 20} MiB, the command nacre larger ones"
             )
-        if len(written) == 1:
-            name, content = written[0].name, written[0].read_bytes()
+        if len(files) == 1:
+            name, content = files[0].name, files[0].read_bytes()
         else:
-            name, content = f"{stem}-{request['to']}.zip", _zipped(written, folder)
+            name, content = f"{stem}-{request['to']}.zip", _zipped(files, folder)
     lines = [line.replace(f"{place}/", "")[:300] for line in remarks[:MAX_REMARKS]]  # the folder no longer exists
     header = json.dumps({"name": name, "remarks": lines}).encode()
     return struct.pack("<I", len(header)) + header + content
@@ -173,10 +173,10 @@ def unpacked(data: bytes) -> tuple[dict[str, Any], bytes]:
     return json.loads(data[4 : 4 + length]), data[4 + length :]
 
 
-def _zipped(written: list[Path], folder: Path) -> bytes:
+def _zipped(files: list[Path], folder: Path) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in written:
+        for path in files:
             archive.write(path, path.relative_to(folder).as_posix())
     return buffer.getvalue()
 

@@ -60,8 +60,8 @@ def _consequences(text: str, edit: Mapping[str, Any], source: str) -> list[dict[
         made = model.with_choice(scaled, key, value)
     except (NacreError, LookupError, TypeError, ValueError):  # a recipe with errors, which are reported elsewhere
         return []
-    gone = [{"path": f"{place}.{way}", "op": "remove"} for way in table if names[way] not in made]
-    return gone + [{"path": f"{place}.{k}", "value": v} for k, v in made.items() if scaled.get(k) != v and k != key]
+    removals = [{"path": f"{place}.{way}", "op": "remove"} for way in table if names[way] not in made]
+    return removals + [{"path": f"{place}.{k}", "value": v} for k, v in made.items() if scaled.get(k) != v and k != key]
 
 
 def _apply(text: str, edit: Mapping[str, Any], source: str) -> str:
@@ -108,7 +108,7 @@ def _with_number(text: str, path: str, value: Any, expected: Mapping[str, Any]) 
         return ""
     key = re.escape(path.rpartition(".")[2])
     places = list(re.finditer(rf"(?<![\w.-]){key}[ \t]*=[ \t]*({NUMBER})(?=[ \t]*(?:[,}}\n#]|$))", text))
-    number = [int(found) for found in re.findall(r"\[(\d+)\]", path)]
+    number = [int(digits) for digits in re.findall(r"\[(\d+)\]", path)]
     guess = number[-1] if number and number[-1] < len(places) else 0
     if not places:
         return ""
@@ -169,8 +169,8 @@ def line_of(text: str, message: str) -> int | None:
     TOML errors contain their line. Recipe errors name a key such as `layers[1].material`: the line is the last
     word's occurrence with the list index.
     """
-    if found := re.search(r"at line (\d+)", message):
-        return int(found[1])
+    if match := re.search(r"at line (\d+)", message):
+        return int(match[1])
     lines = text.splitlines()
     if "at end of document" in message:
         return len(lines)
@@ -304,7 +304,7 @@ def _number(annotation: Any, metadata: Sequence[Any] = ()) -> dict[str, Any] | N
     if origin is typing.Annotated:
         return _number(arguments[0], [*arguments[1:], *metadata])
     if origin in (typing.Union, types.UnionType):
-        return next((found for arm in arguments if (found := _number(arm, metadata)) is not None), None)
+        return next((number for arm in arguments if (number := _number(arm, metadata)) is not None), None)
     return None
 
 

@@ -101,35 +101,35 @@ class OpenedFolder:
         """
         if path is None:
             return cls(Path.cwd().resolve())
-        given = Path(path)
-        if given.is_dir():
-            opened = cls(given.resolve())
+        requested = Path(path)
+        if requested.is_dir():
+            opened = cls(requested.resolve())
             if not opened.names():
                 raise NacreError(
                     f"{path}: contains no recipe (.toml with a family); nacre examples -o {path} writes some"
                 )
             return opened
-        if given.suffix not in (".toml", "") or (given.suffix == "" and given.exists()):
+        if requested.suffix not in (".toml", "") or (requested.suffix == "" and requested.exists()):
             raise NacreError(f"{path}: is not a recipe; the studio opens a .toml file or a folder of them")
-        if given.is_file():
-            read_text(given, "recipe")
-            return cls(given.resolve().parent, given.name)
+        if requested.is_file():
+            read_text(requested, "recipe")
+            return cls(requested.resolve().parent, requested.name)
         if any(example.name == path.removesuffix(".toml") for example in examples()):
             return cls(Path.cwd().resolve(), EXAMPLE + path.removesuffix(".toml"))
         raise NacreError(f"{path}: no such file or folder, and no example of that name")
 
     def names(self) -> list[str]:
         """Return relative names for the folder's recipes: .toml files with a family, without links that lead out."""
-        found: list[str] = []
+        names: list[str] = []
         for path in sorted(self.folder.rglob("*.toml")):
             inner = path.relative_to(self.folder)
             if len(inner.parts) > MAX_DEPTH + 1 or any(part.startswith(".") for part in inner.parts):
                 continue
             if real(path).is_relative_to(self.folder) and _has_family(path):
-                found.append(inner.as_posix())
-            if len(found) == MAX_LISTED:
+                names.append(inner.as_posix())
+            if len(names) == MAX_LISTED:
                 break
-        return found
+        return names
 
     def place(self, name: str) -> tuple[Path, Path]:
         """Return a recipe's file and its fence.
@@ -269,7 +269,7 @@ def read_recipe(recipe: Any, opened: OpenedFolder) -> dict[str, str]:
     return {"text": recipe["text"], "path": str(path), "fence": str(fence)}
 
 
-def read_choice(body: Mapping[str, Any], key: str, default: str | None, known: tuple[str, ...]) -> str | None:
+def read_choice(body: Mapping[str, Any], key: str, default: str | None, allowed: tuple[str, ...]) -> str | None:
     """Return one of the known words from a request, or the default.
 
     Raises:
@@ -278,8 +278,8 @@ def read_choice(body: Mapping[str, Any], key: str, default: str | None, known: t
     value = body.get(key)
     if value is None:
         return default
-    if not isinstance(value, str) or value not in known:
-        raise NacreError(f"{key} {shown(value)} is not known; choose from {', '.join(known)}")
+    if not isinstance(value, str) or value not in allowed:
+        raise NacreError(f"{key} {shown(value)} is not known; choose from {', '.join(allowed)}")
     return value
 
 

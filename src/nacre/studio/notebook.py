@@ -131,8 +131,8 @@ class NotebookView:
         self.worker.submit(_Request(self._number, material, header))
 
     def _answer(self, request: _Request, is_superseded: Callable[[], bool]) -> Iterator[tuple[bytes, bool]]:
-        for found in appearances(request.material, self._lamp, is_superseded):
-            yield found.packed(**request.header), found.is_draft
+        for appearance in appearances(request.material, self._lamp, is_superseded):
+            yield appearance.packed(**request.header), appearance.is_draft
 
     def _send_packed(self, packed: bytes) -> None:
         self._last = packed
@@ -205,15 +205,15 @@ def _add(path: str, modules: dict[str, tuple[str, list[str]]], importers: tuple[
         return
     source = files("nacre.studio").joinpath(path).read_text(encoding="utf-8")
 
-    def imported(found: re.Match[str]) -> str:
-        names, other = found[1], posixpath.normpath(posixpath.join(posixpath.dirname(path), found[2]))
+    def imported(match: re.Match[str]) -> str:
+        names, other = match[1], posixpath.normpath(posixpath.join(posixpath.dirname(path), match[2]))
         _add(other, modules, (*importers, path))
         missing = [name for name in names.split(", ") if name not in modules[other][1]]
         if missing:
             raise ValueError(f"{path}: {other} does not export {', '.join(missing)}")
         return f"const {{ {names} }} = {_variable(other)};"
 
-    exports = [found[2] for found in EXPORT.finditer(source)]
+    exports = [match[2] for match in EXPORT.finditer(source)]
     text = EXPORT.sub(r"\1 \2", IMPORT.sub(imported, source))
     if unsupported := UNSUPPORTED.search(text):
         raise ValueError(f"{path}: {unsupported[0].strip()[:60]} is not supported")

@@ -197,10 +197,10 @@ def _open_corners(surface: Mesh, tolerance: float) -> NDArray[np.bool_]:
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     edges = edges[edges[:, 0] != edges[:, 1]]
     number = int(welded.max()) + 1
-    found, count = np.unique(edges @ np.array([number, 1]), return_counts=True)
+    edge_codes, count = np.unique(edges @ np.array([number, 1]), return_counts=True)
     is_open = np.zeros(number, dtype=bool)
-    alone = found[count == 1]
-    is_open[alone // number], is_open[alone % number] = True, True
+    open_edges = edge_codes[count == 1]
+    is_open[open_edges // number], is_open[open_edges % number] = True, True
     return np.asarray(is_open[welded])
 
 
@@ -306,18 +306,18 @@ def measurement_job(request: Mapping[str, Any], emit: Any = None) -> bytes:
     """
     path, name = Path(request["path"]), str(request["name"])
     try:
-        found = open_file(path)
+        measurements = open_file(path)
         answer = {
             "name": name,
-            "summary": [_summary(measurement, name) for measurement in found[:MAX_CURVES]],
-            "curves": [curve for measurement in found for curve in _curves(measurement)][:MAX_CURVES],
-            "is_scan": any(measurement.kind == "heights" for measurement in found),
-            "ellipsometry": [curve for measurement in found for curve in _psi_delta(measurement)][:MAX_ANGLES],
-            "colours": _colours(path, found)[:MAX_COLOURS],
+            "summary": [_summary(measurement, name) for measurement in measurements[:MAX_CURVES]],
+            "curves": [curve for measurement in measurements for curve in _curves(measurement)][:MAX_CURVES],
+            "is_scan": any(measurement.kind == "heights" for measurement in measurements),
+            "ellipsometry": [curve for measurement in measurements for curve in _psi_delta(measurement)][:MAX_ANGLES],
+            "colours": _colours(path, measurements)[:MAX_COLOURS],
         }
     except AmbiguousFileError as error:
-        said = str(error).replace(str(path), name)
-        raise NacreError(f"{said}; use nacre read with --{error.option.replace('_', '-')}") from None
+        message = str(error).replace(str(path), name)
+        raise NacreError(f"{message}; use nacre read with --{error.option.replace('_', '-')}") from None
     except NacreError as error:
         raise NacreError(str(error).replace(str(path), name)) from None
     return json.dumps(answer).encode()
@@ -325,8 +325,8 @@ def measurement_job(request: Mapping[str, Any], emit: Any = None) -> bytes:
 
 def _summary(measurement: Measurement, name: str) -> str:
     own = f' "{measurement.name}"' if measurement.name else ""
-    said = "; ".join((*measurement.assumed, *measurement.left_out))
-    return f"{name}:{own} {measurement.kind}, {points(measurement)} points" + (f"; {said}" if said else "")
+    remarks = "; ".join((*measurement.assumed, *measurement.left_out))
+    return f"{name}:{own} {measurement.kind}, {points(measurement)} points" + (f"; {remarks}" if remarks else "")
 
 
 def _curves(measurement: Measurement) -> list[dict[str, Any]]:
@@ -338,11 +338,11 @@ def _curves(measurement: Measurement) -> list[dict[str, Any]]:
     for quantity in CURVES:
         if quantity in measurement.data:
             values = np.asarray(measurement.data[quantity], dtype=float)
-            kept = np.flatnonzero((nm >= RANGE_NM[0]) & (nm <= RANGE_NM[1]) & np.isfinite(values))
-            kept = kept[:: max(1, -(-len(kept) // MAX_POINTS))]
-            if len(kept) > 1:
-                rounded = values[kept].round(5).tolist()
-                curves.append({"name": measurement.name or quantity, "nm": nm[kept].tolist(), "values": rounded})
+            indices = np.flatnonzero((nm >= RANGE_NM[0]) & (nm <= RANGE_NM[1]) & np.isfinite(values))
+            indices = indices[:: max(1, -(-len(indices) // MAX_POINTS))]
+            if len(indices) > 1:
+                rounded = values[indices].round(5).tolist()
+                curves.append({"name": measurement.name or quantity, "nm": nm[indices].tolist(), "values": rounded})
     return curves
 
 
@@ -370,35 +370,35 @@ def _psi_delta(measurement: Measurement) -> list[dict[str, Any]]:
     return curves
 
 
-def computed_psi_delta(material: Material, asked: Any) -> dict[str, Any] | None:
+def computed_psi_delta(material: Material, query: Any) -> dict[str, Any] | None:
     """Return the computed Psi and Delta beside measured ones.
 
     Args:
-        asked: `angles_deg` and `range_nm` of the measured data, from the page.
+        query: `angles_deg` and `range_nm` of the measured data, from the page.
 
     Returns:
-        `nm`, and for each angle `psi` and `delta`; or a `note` if the material has none there. None if `asked` is empty
+        `nm`, and for each angle `psi` and `delta`; or a `note` if the material has none there. None if `query` is empty
         or malformed.
     """
     try:
-        angles = np.array(asked["angles_deg"], dtype=float)
-        low, high = (float(value) for value in asked["range_nm"])
+        angles = np.array(query["angles_deg"], dtype=float)
+        low, high = (float(value) for value in query["range_nm"])
     except (KeyError, TypeError, ValueError):
         return None
-    is_sound = angles.ndim == 1 and 0 < angles.size <= MAX_ANGLES and np.all((angles > 0.0) & (angles < 90.0))
-    if not (is_sound and 0.0 < low <= high < np.inf):
+    is_valid = angles.ndim == 1 and 0 < angles.size <= MAX_ANGLES and np.all((angles > 0.0) & (angles < 90.0))
+    if not (is_valid and 0.0 < low <= high < np.inf):
         return None
     note = ""
     for start, stop in ((low, high), (max(low, RANGE_NM[0]), min(high, RANGE_NM[1]))):
         if start > stop:
             continue
         try:
-            found = compute_ellipsometry(material, angles, np.linspace(start, stop, COMPUTED_POINTS))
+            response = compute_ellipsometry(material, angles, np.linspace(start, stop, COMPUTED_POINTS))
         except NacreError as error:
             note = note or str(error)
             continue
-        psi, delta = (values.round(4).tolist() for values in (found.psi_deg, np.mod(found.delta_deg, 360.0)))
-        return {"nm": found.wavelengths_nm.tolist(), "angles_deg": angles.tolist(), "psi": psi, "delta": delta}
+        psi, delta = (values.round(4).tolist() for values in (response.psi_deg, np.mod(response.delta_deg, 360.0)))
+        return {"nm": response.wavelengths_nm.tolist(), "angles_deg": angles.tolist(), "psi": psi, "delta": delta}
     return {"note": note or "the measured wavelengths lie outside the visible range"}
 
 
@@ -429,8 +429,8 @@ def relief_recipe(name: str) -> str:
     )
 
 
-def _colours(path: Path, found: Sequence[Measurement]) -> list[dict[str, str]]:
-    lists = [measurement for measurement in found if measurement.kind == "colours"]
+def _colours(path: Path, measurements: Sequence[Measurement]) -> list[dict[str, str]]:
+    lists = [measurement for measurement in measurements if measurement.kind == "colours"]
     if not lists:
         return []
     names, lab, _ = named_lab(path, lists, "D65", "2deg")

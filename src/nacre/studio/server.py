@@ -274,8 +274,8 @@ class Gate:
         if reason:
             await _refuse(scope, send, reason)
             return
-        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[-1]
-        if scope["type"] == "http" and scope["path"] == "/" and given and self._is_token(given):
+        token = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[-1]
+        if scope["type"] == "http" and scope["path"] == "/" and token and self._is_token(token):
             await self._welcome(send)
             return
         if not self._is_token(headers.get(HEADER, "")) and not self._is_token(self._in_cookie(headers)):
@@ -446,13 +446,13 @@ def routes() -> list[BaseRoute]:
 
 def _page_files() -> dict[str, tuple[bytes, str]]:
     """Return the page's files, read once; names in requests therefore never become paths."""
-    found = {}
+    contents = {}
     for entry in files("nacre.studio").joinpath("page").iterdir():
         media = MEDIA.get(f".{entry.name.rpartition('.')[2]}")
         if media:
-            found[entry.name] = (entry.read_bytes(), media)
-    found[TABLES] = (template(TABLES).encode(), "text/plain")  # look-ups as in exported tables
-    return found
+            contents[entry.name] = (entry.read_bytes(), media)
+    contents[TABLES] = (template(TABLES).encode(), "text/plain")  # look-ups as in exported tables
+    return contents
 
 
 def failed(request: Request, error: Exception) -> Response:
@@ -532,9 +532,9 @@ def form(request: Request) -> Response:
 
 def indices(request: Request) -> Response:
     """Send the optical constants whose names match the query."""
-    found = library.search(request.query_params.get("q", "")[:80])
-    listed = [{"name": entry.name, "title": entry.title} for entry in found[:MAX_FOUND]]
-    return JSONResponse({"found": listed, "more": max(len(found) - MAX_FOUND, 0)})
+    entries = library.search(request.query_params.get("q", "")[:80])
+    listed = [{"name": entry.name, "title": entry.title} for entry in entries[:MAX_FOUND]]
+    return JSONResponse({"found": listed, "more": max(len(entries) - MAX_FOUND, 0)})
 
 
 def picture_object(request: Request) -> Response:
@@ -809,12 +809,12 @@ class Session:
         header = {"seq": request.body["seq"], "text": request.text, "data": json_data(material.data)}
         lamp = str(request.body.get("lamp", "D65"))
         lamp = lamp if lamp in ILLUMINANTS else "D65"
-        for found in appearances(material, lamp, is_superseded, read_incidence(request.body)):
+        for view in appearances(material, lamp, is_superseded, read_incidence(request.body)):
             beside = (
-                {} if found.is_draft else {"psi_delta": computed_psi_delta(material, request.body.get("ellipsometry"))}
+                {} if view.is_draft else {"psi_delta": computed_psi_delta(material, request.body.get("ellipsometry"))}
             )
-            compared = _difference(request.body.get("compared_lab"), found)
-            yield found.packed(**header, **beside, **compared), found.is_draft
+            compared = _difference(request.body.get("compared_lab"), view)
+            yield view.packed(**header, **beside, **compared), view.is_draft
 
     def _fail(self, request: PageRequest, error: Exception) -> None:
         message = failure_text(error, request.name or "recipe")
@@ -859,12 +859,12 @@ def _difference(compared: Any, own: Appearance) -> dict[str, Any]:
     """Return the CIEDE2000 difference from the appearance that the page stores, given as Lab `[lamp, angle, 3]`."""
     lab = np.array([swatch["lab"] for swatch in own.swatches])
     try:
-        given = np.array(compared, dtype=float)
+        stored = np.array(compared, dtype=float)
     except (TypeError, ValueError):
         return {}
-    if given.shape != lab.shape or not np.isfinite(given).all() or np.abs(given).max() > MAX_LAB:
+    if stored.shape != lab.shape or not np.isfinite(stored).all() or np.abs(stored).max() > MAX_LAB:
         return {}
-    return {"difference": np.round(delta_e_2000(given, lab), 2).tolist()}
+    return {"difference": np.round(delta_e_2000(stored, lab), 2).tolist()}
 
 
 def json_data(data: Any) -> Any:

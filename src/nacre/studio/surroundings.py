@@ -132,8 +132,8 @@ def _computed(name: str) -> Surroundings:
 def surroundings_of(rgb: Array) -> Surroundings:
     """Return surroundings for radiance `[row, column, 3]`; the row count is a multiple of `ROWS`."""
     rest, lamp = without_lamp(rgb)
-    rest, whole = (_downsampled(each) for each in (rest, rgb))
-    return Surroundings(np.stack([_layers(rest[..., c], whole[..., c]) for c in range(3)], axis=-1), lamp)
+    rest, room_and_lamp = (_downsampled(each) for each in (rest, rgb))
+    return Surroundings(np.stack([_layers(rest[..., c], room_and_lamp[..., c]) for c in range(3)], axis=-1), lamp)
 
 
 def _downsampled(rgb: Array) -> Array:
@@ -174,12 +174,12 @@ def _xyz(power: Array) -> Array:
     return np.asarray(power @ observer() / np.sum(y))
 
 
-def _layers(room: Array, whole: Array) -> Array:
-    """Return a room's layers; `whole` includes its lamp and lights the floor."""
+def _layers(room: Array, lit: Array) -> Array:
+    """Return a room's layers; `lit` includes its lamp and lights the floor."""
     layers = [room]
     layers += [_blurred(room, functools.partial(_ggx, alpha=alpha)) for alpha in ALPHAS[1:]]
     layers.append(_blurred(room, lambda cos: np.maximum(cos, 0.0)))
-    layers += [ball_shade(whole), stage_light(whole)]
+    layers += [ball_shade(lit), stage_light(lit)]
     return np.stack(layers).astype(np.float32)
 
 
@@ -220,7 +220,7 @@ def ball_shade(room: Array) -> Array:
     d, power = d[up], power[0][up]
     share = (np.arange(BALL_ROWS) + 0.5) / BALL_ROWS
     distances = MEDIAN_DISTANCE * share / (1.0 - share)
-    left = np.empty((BALL_ROWS, BALL_COLUMNS))
+    remaining = np.empty((BALL_ROWS, BALL_COLUMNS))
     turns = 2.0 * np.pi * (np.arange(BALL_COLUMNS) + 0.5) / BALL_COLUMNS
     soft = np.pi / (2 * SKY_ROWS)  # half width of a sky patch
     for row, distance in enumerate(distances):
@@ -228,8 +228,8 @@ def ball_shade(room: Array) -> Array:
         length = np.sqrt(distance**2 + 1.0)
         apart = np.arccos(np.clip(to_ball @ d.T / length, -1.0, 1.0)) - np.arcsin(min(1.0 / length, 1.0))
         visible = np.clip(0.5 + apart / soft, 0.0, 1.0)
-        left[row] = visible @ (power * d[:, 2]) / (power @ d[:, 2])
-    return _upsampled(left, room.shape, is_periodic=True)
+        remaining[row] = visible @ (power * d[:, 2]) / (power @ d[:, 2])
+    return _upsampled(remaining, room.shape, is_periodic=True)
 
 
 def stage_light(room: Array) -> Array:
@@ -368,9 +368,9 @@ def with_ground(rgb: Array) -> Array:
     """Return sky radiance `[row, column, 3]` with the lit grey ground below the horizon."""
     theta = (np.arange(ROWS // 2) + 0.5) * np.pi / ROWS
     share = (np.sin(theta) * np.cos(theta))[:, None, None] * (np.pi / ROWS) ** 2
-    whole = rgb.copy()
-    whole[ROWS // 2 :] = GREY / np.pi * np.sum(share * rgb[: ROWS // 2], axis=(0, 1))
-    return whole
+    radiance = rgb.copy()
+    radiance[ROWS // 2 :] = GREY / np.pi * np.sum(share * rgb[: ROWS // 2], axis=(0, 1))
+    return radiance
 
 
 def _mean_radiance(emitter: Any, rows: NDArray[np.integer], columns: NDArray[np.integer], finer: int) -> Array:

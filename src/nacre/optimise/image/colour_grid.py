@@ -103,7 +103,7 @@ class ColourSampler:
         Raises:
             NacreError: a material cannot be computed.
         """
-        found = []
+        colours = []
         low, high = (np.array([getattr(p, end) for p in self.parameters]) for end in ("low", "high"))
         for start in range(0, len(points), BATCH):
             values = low + (high - low) * points[start : start + BATCH]
@@ -112,8 +112,8 @@ class ColourSampler:
                 factors = np.stack(
                     [self._factors(dict(zip(self._paths, map(float, row), strict=True))) for row in values]
                 )
-            found.append(factors[:, 0] @ self.weights)
-        return np.concatenate(found)
+            colours.append(factors[:, 0] @ self.weights)
+        return np.concatenate(colours)
 
     def _factors(self, changes: dict[str, float]) -> Array:
         """Return factors of one variant; without convergence, with the accuracy of a search."""
@@ -168,10 +168,10 @@ class Palette:
                 f"{self.sampler.material.context.source}: search.evaluations = {self.evaluations}: {key} needs "
                 f"{len(points)} materials; allowed: at least as many"
             )
-        found = self._xyz(points, self.is_interrupted)
-        if found is None:
+        colours = self._xyz(points, self.is_interrupted)
+        if colours is None:
             raise KeyboardInterrupt
-        return found
+        return colours
 
     def more(self, points: Array) -> Array | None:
         """Return further colours; None if the budget does not suffice or the refinement is stopped."""
@@ -181,9 +181,9 @@ class Palette:
         def is_over() -> bool:
             return self.is_interrupted() or clock() > self.end_time
 
-        found = None if is_over() else self._xyz(points, is_over)
-        self.is_stopped = found is None
-        return found
+        colours = None if is_over() else self._xyz(points, is_over)
+        self.is_stopped = colours is None
+        return colours
 
     def _xyz(self, points: Array, is_over: Callable[[], bool]) -> Array | None:
         if self.sampler.is_batched:

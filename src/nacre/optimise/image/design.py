@@ -80,25 +80,25 @@ def make_picture(task: DesignTask, palette: Palette) -> PictureDesign:
     # equal colours are matched once
     _, first, inverse = np.unique((pixels << np.array([32, 16, 0])).sum(axis=1), return_index=True, return_inverse=True)
     inverse = inverse.reshape(target.image.shape[:2])
-    asked = srgb_lab(target.image.reshape(-1, 3)[first])
+    target_lab = srgb_lab(target.image.reshape(-1, 3)[first])
     if levels is None:
         grid = fine_grid(palette)
-        found = match_colours(asked, np.asarray(xyz_to_lab(grid.xyz, white)), target.tolerance)
-        points, distance = found.points[inverse], found.distance[inverse]
-        is_mapped, keeps_hue = found.is_mapped[inverse], found.keeps_hue[inverse]
+        match = match_colours(target_lab, np.asarray(xyz_to_lab(grid.xyz, white)), target.tolerance)
+        points, distance = match.points[inverse], match.distance[inverse]
+        is_mapped, keeps_hue = match.is_mapped[inverse], match.keeps_hue[inverse]
     elif not task.spec.limits.dither:
         grid = level_grid(palette, levels)
         lab = np.asarray(xyz_to_lab(grid.flat_xyz, white))
-        nearest, off = nearest_colours(asked, lab)
+        nearest, off = nearest_colours(target_lab, lab)
         points, distance, is_mapped = nearest[inverse], off[inverse], (off > target.tolerance)[inverse]
-        keeps_hue = has_same_hue(asked, lab[nearest])[inverse]
+        keeps_hue = has_same_hue(target_lab, lab[nearest])[inverse]
     else:
         grid = level_grid(palette, levels)
-        mapped, moved = map_into_solid(asked, grid.flat_xyz, white, target.tolerance)
+        mapped, moved = map_into_solid(target_lab, grid.flat_xyz, white, target.tolerance)
         points = dither(np.asarray(lab_to_xyz(mapped, white))[inverse], grid.flat_xyz, white)
-        both = np.asarray(lab_to_xyz(asked, white))[inverse], np.asarray(grid.flat_xyz[points])
+        both = np.asarray(lab_to_xyz(target_lab, white))[inverse], np.asarray(grid.flat_xyz[points])
         distance = np.asarray(delta_e_2000(*(xyz_to_lab(blurred(xyz), white) for xyz in both)))
-        is_mapped, keeps_hue = moved[inverse], has_same_hue(asked, mapped)[inverse]
+        is_mapped, keeps_hue = moved[inverse], has_same_hue(target_lab, mapped)[inverse]
     maps = [
         ParameterMap(p.path, values, p.low, p.high, levels)
         for p, values in zip(task.parameters, grid.values(points), strict=True)
@@ -127,10 +127,10 @@ def design_picture(
     folder = checkpointer.folder
     task.check_overwriting(folder, [REACHED, PICTURE])
 
-    def report(worst: float, said: str, count: int = 0) -> None:
+    def report(worst: float, description: str, count: int = 0) -> None:
         if progress is not None:
             spent = clock() - begun
-            progress(DesignProgress(worst, spent, max(total - spent, 0.0), count, said))
+            progress(DesignProgress(worst, spent, max(total - spent, 0.0), count, description))
 
     def solved(count: int) -> None:
         if checkpointer.is_due:
@@ -180,12 +180,12 @@ def _stored_palette(folder: Path, checkpointer: Checkpointer) -> list[list[float
         NacreError: the checkpoint cannot be read.
     """
     try:
-        found = np.array(checkpointer.progress.get("palette", []), dtype=float)
+        palette = np.array(checkpointer.progress.get("palette", []), dtype=float)
     except (TypeError, ValueError):
         raise unreadable(folder) from None
-    if found.size and (found.ndim != 2 or found.shape[1] != 3 or not np.isfinite(found).all()):
+    if palette.size and (palette.ndim != 2 or palette.shape[1] != 3 or not np.isfinite(palette).all()):
         raise unreadable(folder)
-    return [[float(v) for v in row] for row in found]
+    return [[float(v) for v in row] for row in palette]
 
 
 def _sampler(task: DesignTask, is_final: bool = False) -> ColourSampler:
@@ -251,9 +251,9 @@ def _write(task: DesignTask, folder: Path, picture: PictureDesign, facts: dict[s
     with atomic_path(folder / REACHED) as temporary:
         Image.fromarray(np.round(255.0 * picture.reached).astype(np.uint8)).save(temporary)
     target, lamp = task.targets[0], task.spec.light.illuminants[0]
-    asked, reached = (srgb_lab(rgb).mean(axis=(0, 1)) for rgb in (picture.asked, picture.reached))
+    target_lab, lab = (srgb_lab(rgb).mean(axis=(0, 1)) for rgb in (picture.asked, picture.reached))
     facts["files"] = [*files, *map_files, REACHED]
-    return Solution(path, load(path), changes, [TargetResult(target, lamp, reached, asked, facts["de00_mean"])], facts)
+    return Solution(path, load(path), changes, [TargetResult(target, lamp, lab, target_lab, facts["de00_mean"])], facts)
 
 
 def _document(solution: Solution, task: DesignTask) -> dict[str, Any]:

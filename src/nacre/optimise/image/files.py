@@ -125,22 +125,22 @@ def write_maps(folder: Path, maps: Sequence[ParameterMap], provenance: dict[str,
     Raises:
         NacreError: a file cannot be written.
     """
-    for found in maps:
-        unit = (found.values - found.low) / (found.high - found.low)
+    for item in maps:
+        unit = (item.values - item.low) / (item.high - item.low)
         grey = np.round(LARGEST_GREY * unit).astype(np.uint16)
         metadata = {
-            "path": found.path,
-            "black": found.low,
-            "white": found.high,
-            "levels": found.levels,
+            "path": item.path,
+            "black": item.low,
+            "white": item.high,
+            "levels": item.levels,
             **provenance,
             "value": "black + (white - black) * grey / 65535; seen from the light's side, first row on top",
         }
-        write_png16(folder / f"{found.stem}.png", grey, metadata, DEFAULT_PIXEL_UM)
-        write_tiff16(folder / f"{found.stem}.tif", grey, metadata, DEFAULT_PIXEL_UM)
-        with atomic_path(folder / f"{found.stem}.npy") as temporary, temporary.open("wb") as stream:
-            np.save(stream, found.values, allow_pickle=False)
-    return [f"{found.stem}{suffix}" for found in maps for suffix in (".png", ".tif", ".npy")]
+        write_png16(folder / f"{item.stem}.png", grey, metadata, DEFAULT_PIXEL_UM)
+        write_tiff16(folder / f"{item.stem}.tif", grey, metadata, DEFAULT_PIXEL_UM)
+        with atomic_path(folder / f"{item.stem}.npy") as temporary, temporary.open("wb") as stream:
+            np.save(stream, item.values, allow_pickle=False)
+    return [f"{item.stem}{suffix}" for item in maps for suffix in (".png", ".tif", ".npy")]
 
 
 FIELD = "pixels"
@@ -194,5 +194,5 @@ def srgb_lab(rgb: Array) -> Array:
 
 def screen_rgb(xyz: Array, white: Array) -> Array:
     """Return the encoded sRGB with the same CIELAB values as XYZ `[..., 3]` under `white`, clipped to sRGB."""
-    shown = np.clip(light.lab_to_xyz(light.xyz_to_lab(xyz, white), light.SRGB_WHITE_XYZ), 0.0, None)
-    return np.asarray(light.srgb_encode(light.clip_to_srgb(light.xyz_to_srgb_linear(shown)).rgb))
+    linear = np.clip(light.lab_to_xyz(light.xyz_to_lab(xyz, white), light.SRGB_WHITE_XYZ), 0.0, None)
+    return np.asarray(light.srgb_encode(light.clip_to_srgb(light.xyz_to_srgb_linear(linear)).rgb))

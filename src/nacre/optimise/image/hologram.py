@@ -102,8 +102,8 @@ def make_channel(task: DesignTask, number: int) -> Channel:
             f'{source}: parameters."{TURN}" = [{least:g}, {most:g}]: the picture needs a turn of {azimuth:.1f} degrees '
             "or half a turn more; allowed: bounds that contain it"
         )
-    found = [(_efficiencies(task.material, light, periods, turn, q), turn) for turn in turns[:2]]
-    efficiency, turn = max(found, key=lambda pair: float(np.min(pair[0])))
+    efficiencies = [(_efficiencies(task.material, light, periods, turn, q), turn) for turn in turns[:2]]
+    efficiency, turn = max(efficiencies, key=lambda pair: float(np.min(pair[0])))
     if not np.all(efficiency > 0.0):
         raise RecipeError(f'{target.key}.geometry = "{target.geometry}": the grating sends no light to the viewer')
     # an order is Gaussian over the wavelength, w times as wide as the period
@@ -116,7 +116,7 @@ def make_channel(task: DesignTask, number: int) -> Channel:
 
 def _efficiencies(material: Material, light: Array, periods_nm: Array, turn_deg: float, q: Array) -> Array:
     """Return the efficiency `[3]` of the order that leads to the viewer, for unpolarised light."""
-    found = []
+    efficiencies = []
     for period, wavelength in zip(periods_nm, PRIMARIES_NM, strict=True):
         model = material.vary({PERIOD: float(period), TURN: float(turn_deg)}).model
         assert isinstance(model, Diffracting)
@@ -126,8 +126,8 @@ def _efficiencies(material: Material, light: Array, periods_nm: Array, turn_deg:
         along = np.array([np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))])
         sign = 1 if float(along @ q) > 0.0 else -1
         at = np.flatnonzero((orders.numbers[:, 0] == sign) & (orders.numbers[:, 1] == 0))
-        found.append(float(np.nan_to_num(orders.reflected[0, 0, at]).mean()) if at.size else 0.0)
-    return np.array(found)
+        efficiencies.append(float(np.nan_to_num(orders.reflected[0, 0, at]).mean()) if at.size else 0.0)
+    return np.array(efficiencies)
 
 
 def _line_colours(task: DesignTask, widths_nm: Array) -> Array:
@@ -189,8 +189,8 @@ def design_hologram(
     for number in range(len(task.targets)):
         channels.append(make_channel(task, number))
         if progress is not None:
-            said = f"picture {number + 1} of {len(task.targets)}"
-            progress(DesignProgress(np.inf, clock() - begun, np.inf, description=said))
+            description = f"picture {number + 1} of {len(task.targets)}"
+            progress(DesignProgress(np.inf, clock() - begun, np.inf, description=description))
     _check_apart(task, channels)
     turns, periods = dot_maps(task, channels)
     claim(folder)
@@ -205,12 +205,12 @@ def design_hologram(
     white = white_xyz(task.spec.light.illuminants[0], task.spec.light.observer)
     results, entries = [], []
     for channel in channels:
-        asked = srgb_lab(channel.target.image)  # type: ignore[arg-type]  # a picture
-        reached = np.asarray(xyz_to_lab(channel.reached, white))
-        distance = np.asarray(delta_e_2000(asked, reached))
-        mean, asked_mean = (part.mean(axis=(0, 1)) for part in (reached, asked))
+        target_lab = srgb_lab(channel.target.image)  # type: ignore[arg-type]  # a picture
+        picture_lab = np.asarray(xyz_to_lab(channel.reached, white))
+        distance = np.asarray(delta_e_2000(target_lab, picture_lab))
+        mean, target_mean = (part.mean(axis=(0, 1)) for part in (picture_lab, target_lab))
         results.append(
-            TargetResult(channel.target, task.spec.light.illuminants[0], mean, asked_mean, float(np.median(distance)))
+            TargetResult(channel.target, task.spec.light.illuminants[0], mean, target_mean, float(np.median(distance)))
         )
         entries.append(
             {
@@ -264,8 +264,8 @@ def _write_previews(task: DesignTask, folder: Path, channels: Sequence[Channel])
     names = _preview_names(len(channels))
     for name, channel in zip(names, channels, strict=True):
         with atomic_path(folder / name) as temporary:
-            shown = np.round(255.0 * screen_rgb(channel.reached, white)).astype(np.uint8)
-            Image.fromarray(shown).save(temporary, format="PNG")
+            pixels = np.round(255.0 * screen_rgb(channel.reached, white)).astype(np.uint8)
+            Image.fromarray(pixels).save(temporary, format="PNG")
     return names
 
 
@@ -297,7 +297,7 @@ def _lines(
     half, c, s = 0.5 * side_nm, np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
     square = gdstk.rectangle((-half, -half), (half, half))
     count = int(np.ceil(np.sqrt(2.0) * half / period_nm)) + 1
-    found = []
+    parts = []
     for layer, low, high in lines:
         drawn = []
         for k in range(-count, count + 1):
@@ -305,5 +305,5 @@ def _lines(
             y = 2.0 * half * np.array([-1.0, -1.0, 1.0, 1.0])
             drawn.append(gdstk.Polygon(np.column_stack([c * x - s * y, s * x + c * y]).tolist()))
         clipped = gdstk.boolean(drawn, square, "and", precision=0.1)
-        found += [(layer, np.asarray(polygon.points)) for polygon in clipped]
-    return found
+        parts += [(layer, np.asarray(polygon.points)) for polygon in clipped]
+    return parts

@@ -85,9 +85,9 @@ def match_colours(targets: Array, grid: Array, tolerance: float, keep_hue: bool 
         groups, inverse = np.unique(group[chosen], return_inverse=True)
         starts = _starts_by_hue(places[representatives[groups]], even, few)
         step = np.full(len(chosen), HUE_STEP)
-        found, off = _descend(targets[chosen], inverse, starts, reachable, rows, columns, step)
+        matched, off = _descend(targets[chosen], inverse, starts, reachable, rows, columns, step)
         good = off <= nearest[chosen] + HUE_COST
-        points[chosen[good]], distance[chosen[good]] = found[good], off[good]
+        points[chosen[good]], distance[chosen[good]] = matched[good], off[good]
     return Match(points, distance, nearest, is_mapped, has_same_hue(targets, reachable[points]))
 
 
@@ -121,8 +121,8 @@ def _one_per_cell(even: Array) -> tuple[Indices, Indices]:
 
 def _nearest(tree: Any, among: Indices, places: Array, count: int) -> Indices:
     count = min(count, len(among))
-    found = tree.query(places, k=count)[1].reshape(len(places), count)
-    return np.ascontiguousarray(among[found])
+    neighbours = tree.query(places, k=count)[1].reshape(len(places), count)
+    return np.ascontiguousarray(among[neighbours])
 
 
 def _starts_by_hue(places: Array, even: Array, few: Indices) -> Indices:
@@ -138,9 +138,9 @@ def _starts_by_hue(places: Array, even: Array, few: Indices) -> Indices:
         # a wedge is wider than its pixels' hue; `_descend` rejects the excess
         inside = few[(across <= HUE_STEP + np.pi / WEDGES * np.abs(along)) & (along > -HUE_STEP)]
         if len(inside):
-            mine = np.flatnonzero(wedge == k)
-            found = _nearest(cKDTree(even[inside]), inside, places[mine], NEIGHBOURS)
-            starts[mine, : found.shape[1]] = found
+            members = np.flatnonzero(wedge == k)
+            neighbours = _nearest(cKDTree(even[inside]), inside, places[members], NEIGHBOURS)
+            starts[members, : neighbours.shape[1]] = neighbours
     return starts
 
 
@@ -213,8 +213,8 @@ def has_same_hue(lab: Array, other: Array) -> NDArray[np.bool_]:
 
     Example: (50, 20, 0) and (50, 5, 0) match; (50, 20, 0) and (50, 0, 20) do not.
     """
-    found: NDArray[np.bool_] = _same_hues(np.ascontiguousarray(lab), np.ascontiguousarray(other))
-    return found
+    is_same: NDArray[np.bool_] = _same_hues(np.ascontiguousarray(lab), np.ascontiguousarray(other))
+    return is_same
 
 
 def uniform_space(lab: Array) -> Array:
@@ -270,9 +270,9 @@ def map_into_solid(
         middle = 0.5 * (good + bad)
         works = is_inside(starts + middle[:, None] * (targets[outside] - starts))
         good, bad = np.where(works, middle, good), np.where(works, bad, middle)
-    found = targets.copy()
-    found[outside] = starts + good[:, None] * (targets[outside] - starts)
-    return found, np.asarray(delta_e_2000(targets, found) > tolerance)
+    mapped = targets.copy()
+    mapped[outside] = starts + good[:, None] * (targets[outside] - starts)
+    return mapped, np.asarray(delta_e_2000(targets, mapped) > tolerance)
 
 
 def _mixtures(levels: Array) -> Array:
@@ -293,8 +293,8 @@ def dither(targets_xyz: Array, levels_xyz: Array, white: Array) -> Indices:
     even = np.ascontiguousarray(uniform_space(xyz_to_lab(levels_xyz, white)))
     lightness = uniform_space(np.stack([np.linspace(0.0, 200.0, 2001), *np.zeros((2, 2001))], axis=-1))[:, 0]
     levels = np.ascontiguousarray(levels_xyz)
-    found: Indices = _diffuse(np.array(targets_xyz, float), levels, even, np.asarray(white, float), lightness)
-    return found
+    levels_used: Indices = _diffuse(np.array(targets_xyz, float), levels, even, np.asarray(white, float), lightness)
+    return levels_used
 
 
 @compiled(error_model="numpy")

@@ -81,7 +81,7 @@ def minimise_residuals(
 
     begin = np.clip(start, np.asarray(low) + INSIDE, np.asarray(high) - INSIDE)
     derivative = {"diff_step": np.full(len(begin), step)} if jacobian is None else {"jac": jacobian}
-    found = least_squares(
+    result = least_squares(
         residuals,
         begin,
         bounds=(low, high),
@@ -92,7 +92,7 @@ def minimise_residuals(
         max_nfev=max_nfev,
         **derivative,
     )
-    return LocalMinimum(np.asarray(found.x), float(2.0 * found.cost), np.asarray(found.jac))
+    return LocalMinimum(np.asarray(result.x), float(2.0 * result.cost), np.asarray(result.jac))
 
 
 def reweighted(weights: Array, distances: Array) -> Array | None:
@@ -159,10 +159,10 @@ def refine(
         begin = point[list(columns)]
         found = minimise_residuals(residuals, begin, low=low, high=high, jacobian=jacobian, max_nfev=max_nfev, tol=tol)
         trial = full(found.point)
-        reached = spectra(trial)
-        if reached is None:
+        factors = spectra(trial)
+        if factors is None:
             break
-        distances = np.asarray(merit.distances(reached))
+        distances = np.asarray(merit.distances(factors))
         objective = float(merit.objective(distances))
         # the first minimisation reduces the mean square, not the worst term, and is always accepted
         if turn > 0 and objective >= best * 0.999:
@@ -253,13 +253,13 @@ class LeastSquaresSearch(Search):
         problem = self.problem
         point = problem.nominal_point()
         try:
-            seen = problem.measure(point, problem.wavelengths_nm)
+            measurement = problem.measure(point, problem.wavelengths_nm)
         except NacreError:
             return
-        if seen.error is None:
+        if measurement.error is None:
             return
-        labs = problem.merit.labs(seen.factors)
-        noise = np.max(delta_e_2000(labs, problem.merit.labs(seen.factors + seen.error)), axis=-1)
+        labs = problem.merit.labs(measurement.factors)
+        noise = np.max(delta_e_2000(labs, problem.merit.labs(measurement.factors + measurement.error)), axis=-1)
         factor = float(np.max(noise / (self.options.max_noise * problem.tolerances()))) ** 2
         self.samples = DEFAULT_SAMPLES
         self.sufficient_samples = int(np.clip(DEFAULT_SAMPLES * factor, 0, self.options.max_samples))
@@ -292,13 +292,13 @@ class LeastSquaresSearch(Search):
         parameters = len(problem.parameters)
         count = int(np.clip(options.scouts_per_parameter * parameters, options.min_scouts, options.max_scouts))
         points += list(sobol_points(parameters, count, [problem.seed, 1]))
-        found: list[tuple[float, Array]] = []
+        scouted: list[tuple[float, Array]] = []
         for point in points:
-            found.append((self._objective(point), point))
-            self.archive.add(found[-1][0], problem.changes(point))
+            scouted.append((self._objective(point), point))
+            self.archive.add(scouted[-1][0], problem.changes(point))
             if phase.is_over:
                 break
-        return [point for _, point in sorted(found, key=lambda pair: pair[0])]
+        return [point for _, point in sorted(scouted, key=lambda pair: pair[0])]
 
     def _enumerate(self) -> None:
         """Evaluate the combinations of categorical and integer parameters, all if the budget allows."""
@@ -359,16 +359,16 @@ def covariance(end: LocalMinimum, count: int) -> tuple[Array, float]:
     floor = np.finfo(float).eps * end.jacobian.shape[0] * (singular.max() if singular.size else 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = np.where(singular > floor, 1.0 / np.maximum(singular, 1e-300) ** 2, np.inf)
-        found = variance * np.einsum("ki,k,kj->ij", rotation, inverse, rotation)
-    return np.where(np.isfinite(found), found, np.inf), variance
+        matrix = variance * np.einsum("ki,k,kj->ij", rotation, inverse, rotation)
+    return np.where(np.isfinite(matrix), matrix, np.inf), variance
 
 
 def correlation(end: LocalMinimum, count: int) -> Array:
     """Return the correlations of the numbers `[p, p]`; NaN where undetermined."""
-    found, _ = covariance(end, count)
-    scale = np.sqrt(np.diag(found))
+    matrix, _ = covariance(end, count)
+    scale = np.sqrt(np.diag(matrix))
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = found / np.outer(scale, scale)
+        ratio = matrix / np.outer(scale, scale)
     return np.where(np.isfinite(ratio), np.clip(ratio, -1.0, 1.0), np.nan)
 
 
@@ -377,14 +377,14 @@ def is_nonlinear(residuals: Residuals, end: LocalMinimum, half_widths: Array) ->
     from scipy.stats import t
 
     count = len(residuals(end.point))
-    found, variance = covariance(end, count)
-    if not np.isfinite(found).all() or variance == 0.0:
+    matrix, variance = covariance(end, count)
+    if not np.isfinite(matrix).all() or variance == 0.0:
         return False
     quantile = float(t.ppf(0.975, max(1, count - len(end.point))))
     for i, half in enumerate(half_widths):
         if not half > 0:
             continue
-        step = found[:, i] / np.sqrt(found[i, i]) * quantile
+        step = matrix[:, i] / np.sqrt(matrix[i, i]) * quantile
         for sign in (-1.0, 1.0):
             there = end.point + sign * step
             if np.any(there < 0.0) or np.any(there > 1.0):
@@ -418,10 +418,10 @@ def profile_interval(residuals: Residuals, end: LocalMinimum, index: int, half_w
                 full[others] = x
                 return residuals(full)
 
-            found = minimise_residuals(reduced, point[others], max_nfev=15)
+            minimum = minimise_residuals(reduced, point[others], max_nfev=15)
             state["point"] = point
-            state["point"][others] = found.point
-            return found.loss
+            state["point"][others] = minimum.point
+            return minimum.loss
 
         ends.append(_crossing(loss, float(end.point[index]), sign, half_width, limit))
     return ends[0], ends[1]
@@ -453,12 +453,12 @@ def resampled_intervals(residuals: Residuals, end: LocalMinimum, seed: int, draw
     generator = np.random.default_rng([seed, 7])
     own = residuals(end.point)
     centred = (own - own.mean()) * np.sqrt(len(own) / max(1, len(own) - len(end.point)))
-    found = []
+    refitted = []
     for _ in range(draws):
         shift = generator.choice(centred, len(own)) - own
 
         def shifted(point: Array, shift: Array = shift) -> Array:
             return np.asarray(residuals(point) + shift)
 
-        found.append(minimise_residuals(shifted, end.point, max_nfev=8).point)
-    return np.quantile(np.array(found), [0.025, 0.975], axis=0).T
+        refitted.append(minimise_residuals(shifted, end.point, max_nfev=8).point)
+    return np.quantile(np.array(refitted), [0.025, 0.975], axis=0).T

@@ -79,13 +79,13 @@ def descend(
         if size < XTOL**2:
             run.is_converged = True
             return
-        found = residuals(point)
-        if found is not None:
-            run.jacobian = run.jacobian + np.outer(found - run.residuals - run.jacobian @ moved, moved) / size
+        residual = residuals(point)
+        if residual is not None:
+            run.jacobian = run.jacobian + np.outer(residual - run.residuals - run.jacobian @ moved, moved) / size
         before = float(np.sum((weights * run.residuals) ** 2))
-        after = np.inf if found is None else float(np.sum((weights * found) ** 2))
-        if found is not None and after < before:
-            run.point, run.residuals, run.damping = point, found, max(0.3 * run.damping, 1e-8)
+        after = np.inf if residual is None else float(np.sum((weights * residual) ** 2))
+        if residual is not None and after < before:
+            run.point, run.residuals, run.damping = point, residual, max(0.3 * run.damping, 1e-8)
             is_fresh = False
             if before - after < ftol * before or is_enough():
                 run.is_converged = True
@@ -175,8 +175,8 @@ class BasinHopping:
 
     def begin(self, points: Sequence[Array]) -> None:
         """Add starts."""
-        found = in_threads(self._residuals, points)
-        self.open += [Descent(point, r) for point, r in zip(points, found, strict=True) if r is not None]
+        residuals = in_threads(self._residuals, points)
+        self.open += [Descent(point, r) for point, r in zip(points, residuals, strict=True) if r is not None]
 
     def run(self, is_over: Callable[[], bool] = lambda: False) -> Iterator[Descent]:
         """Yield each new minimum until `is_over()` or nothing is left."""
@@ -245,12 +245,12 @@ class BasinHopping:
                 continue
             points = np.repeat(best.point[None], len(line), axis=0)
             points[:, column] = np.maximum(line, self._low[column])
-            found = in_threads(self._residuals, list(points))
-            cost = np.array([np.inf if r is None else float(np.sum(r**2)) for r in found])
+            residuals = in_threads(self._residuals, list(points))
+            cost = np.array([np.inf if r is None else float(np.sum(r**2)) for r in residuals])
             around = np.concatenate([[np.inf], cost, [np.inf]])
             is_far = np.abs(line - best.point[column]) >= self.options.min_hop
             is_minimum = (cost < around[:-2]) & (cost < around[2:]) & is_far
-            self.open += [Descent(points[i], r) for i in np.flatnonzero(is_minimum) if (r := found[i]) is not None]
+            self.open += [Descent(points[i], r) for i in np.flatnonzero(is_minimum) if (r := residuals[i]) is not None]
         self.begin(self._variants(best.point))
         return True
 
@@ -260,7 +260,7 @@ class BasinHopping:
         def column(index: int) -> Array:
             point = run.point.copy()
             point[index] += steps[index]
-            found = self._residuals(point)
-            return np.zeros_like(run.residuals) if found is None else (found - run.residuals) / steps[index]
+            moved = self._residuals(point)
+            return np.zeros_like(run.residuals) if moved is None else (moved - run.residuals) / steps[index]
 
         return np.stack(in_threads(column, columns), axis=1)

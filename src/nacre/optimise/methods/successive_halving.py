@@ -143,10 +143,10 @@ class SuccessiveHalvingSearch(Search):
 
     def _reserve_s(self, fidelity: Fidelity) -> float:
         """Return the expected time for an evaluation, plus the final evaluation's excess over its reserve."""
-        known = next((each for each in (fidelity, self.coarse, self.draft) if each.seconds), None)
-        if known is None:
+        measured = next((each for each in (fidelity, self.coarse, self.draft) if each.seconds), None)
+        if measured is None:
             return 0.0
-        per_wavelength = float(np.median(known.seconds)) / len(known.wavelengths_nm)
+        per_wavelength = float(np.median(measured.seconds)) / len(measured.wavelengths_nm)
         final = per_wavelength * len(self.fine.wavelengths_nm)
         return per_wavelength * len(fidelity.wavelengths_nm) + max(final - self.budget.reserved_s, 0.0)
 
@@ -173,16 +173,16 @@ class SuccessiveHalvingSearch(Search):
                 break
         points += [run.point for run in self._ranked(drafts, options.second_draws)]
         phase = self.budget.phase(options.draw_share)
-        found = []
+        descents = []
         for point in points:
             clipped = np.clip(point, 0.0, 1.0)
             residuals = self._evaluate(clipped, self.coarse)
             if residuals is not None:
-                found.append(Descent(clipped, residuals))
-            if phase.is_over and len(found) >= options.min_second_draws:
+                descents.append(Descent(clipped, residuals))
+            if phase.is_over and len(descents) >= options.min_second_draws:
                 break
         starts: list[Descent] = []
-        for run in self._ranked(found, len(found)):
+        for run in self._ranked(descents, len(descents)):
             if is_distinct(run.point, [other.point for other in starts], options.min_start_distance):
                 starts.append(run)
         return starts[: options.population_size]
@@ -249,13 +249,13 @@ class SuccessiveHalvingSearch(Search):
         """Return d residual / d parameter by differences, `[residual, parameter]`, always on the coarse wavelengths."""
         base = run.residuals
         if fidelity is not self.coarse:
-            found = self._evaluate(run.point, self.coarse)
-            base = run.residuals if found is None else found
+            moved = self._evaluate(run.point, self.coarse)
+            base = run.residuals if moved is None else moved
         columns = []
         for column in self.problem.continuous:
             step = self.options.step if run.point[column] <= 0.5 else -self.options.step
             point = run.point.copy()
             point[column] += step
-            found = self._evaluate(point, self.coarse)
-            columns.append(np.zeros(len(base)) if found is None else (found - base) / step)
+            moved = self._evaluate(point, self.coarse)
+            columns.append(np.zeros(len(base)) if moved is None else (moved - base) / step)
         return np.stack(columns, axis=1)

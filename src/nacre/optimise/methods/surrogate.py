@@ -120,8 +120,8 @@ class Correction:
 
     def apply(self, exact: Array, approximation: Array) -> Array:
         """Return the corrected factors of another point."""
-        known = self.approximation > 1e-9
-        ratio = np.where(known, approximation / np.maximum(self.approximation, 1e-9), 1.0)
+        is_positive = self.approximation > 1e-9
+        ratio = np.where(is_positive, approximation / np.maximum(self.approximation, 1e-9), 1.0)
         return np.asarray(exact + self.rest * np.clip(ratio, 0.0, 10.0))
 
 
@@ -164,12 +164,12 @@ class SurrogateError:
         total, rest, square = 0.0, np.zeros_like(approximation), np.zeros_like(approximation)
         floor = np.maximum(approximation, 1e-9)
         count = max(int(np.count_nonzero(approximation > 1e-9)), 1)  # texture rows have no approximate part
-        for walks, other, found, error in self.estimates:
+        for walks, other, estimate, error in self.estimates:
             difference = float(np.sum(np.abs(np.log(floor / np.maximum(other, 1e-9))))) / count
             weight = walks * np.exp(-((difference / self.similarity) ** 2))
             scale = np.where(other > 1e-9, floor / np.maximum(other, 1e-9), 1.0)
             total += weight
-            rest += weight * scale * found
+            rest += weight * scale * estimate
             square += (weight * scale * error) ** 2
         return rest / total, np.sqrt(square) / total
 
@@ -188,24 +188,24 @@ def wavelength_subset(
         spectra: function from a point and wavelengths to `[row, wavelength]`; None if it fails.
         max_error: colour difference in tolerances.
     """
-    whole = problem.wavelengths_nm, problem.merit
-    grid, merit = whole
+    full = problem.wavelengths_nm, problem.merit
+    grid, merit = full
     targets = problem.task.targets
     if SUBSET_NM[0] < grid[0] or SUBSET_NM[-1] > grid[-1] or any(target.spectrum is not None for target in targets):
-        return whole  # a target spectrum is compared on all its wavelengths
+        return full  # a target spectrum is compared on all its wavelengths
     subset = SUBSET_NM
     for lamp in problem.task.spec.light.illuminants:
         subset = with_lamp_lines(subset, lamp) if len(lamp_lines_nm(lamp)) else subset
     if len(subset) >= len(grid):
-        return whole
+        return full
     reduced = problem.merit_on(subset)
     for point in points[:checked]:
         few, every = spectra(point, subset), spectra(point, grid)
         if few is None or every is None:
-            return whole
+            return full
         error = delta_e_2000(reduced.labs(few), merit.labs(every)).max(axis=-1)
         if np.any(error > max_error * problem.tolerances()):
-            return whole
+            return full
     return subset, reduced
 
 
@@ -265,11 +265,11 @@ class SurrogateSearch(Search):
             exploring = self.budget.phase(self.options.fine_share if is_sure else self.options.exploration_share)
             points = self._scout(generator, [*starts, own], scouting)
             before = self.best
-            found = self._hop(points, exploring) if is_sure else self._explore(points, exploring)
+            refined = self._hop(points, exploring) if is_sure else self._explore(points, exploring)
             if self._has_all:
                 return
-            for rms, point in found:
-                if rms > self.options.max_start_ratio * found[0][0] + STOP_TOL:
+            for rms, point in refined:
+                if rms > self.options.max_start_ratio * refined[0][0] + STOP_TOL:
                     continue
                 self._converge(point)
                 if self.is_finished:
@@ -279,13 +279,13 @@ class SurrogateSearch(Search):
 
     def _allowed(self, point: Array) -> Array:
         """Return a point whose optional tables are either removed or well present."""
-        found = point.copy()
+        allowed = point.copy()
         parameters = self.problem.parameters
         for i, table in self.problem.removable.items():
-            found[i] = 0.0 if found[i] < self.options.min_amount else found[i]
-            if found[i] == 0.0:  # a removed table's contents do not distinguish points
-                found[[j for j, p in enumerate(parameters) if j != i and is_within(p.path, table)]] = 0.5
-        return found
+            allowed[i] = 0.0 if allowed[i] < self.options.min_amount else allowed[i]
+            if allowed[i] == 0.0:  # a removed table's contents do not distinguish points
+                allowed[[j for j, p in enumerate(parameters) if j != i and is_within(p.path, table)]] = 0.5
+        return allowed
 
     def _structure(self, point: Array) -> tuple[bool, ...]:
         return tuple(bool(point[i] > 0.0) for i in self.problem.removable)
@@ -302,12 +302,12 @@ class SurrogateSearch(Search):
         wavelengths_nm = self._grid if grid is None else grid
         try:
             made = self.problem.candidate(self.problem.changes(point))
-            found = surrogate_factors(made, self.problem.geometries, wavelengths_nm, self._is_fine)
+            factors = surrogate_factors(made, self.problem.geometries, wavelengths_nm, self._is_fine)
         except (NacreError, ArithmeticError):
             return None
-        if found is None:
+        if factors is None:
             return None
-        exact, approximation = found
+        exact, approximation = factors
         correction = self._correction
         spectra = exact + approximation if correction is None else correction.apply(exact, approximation)
         return spectra if np.all(np.isfinite(spectra)) else None
@@ -342,22 +342,22 @@ class SurrogateSearch(Search):
         problem, seed = self.problem, self.problem.seed + len(self.error.estimates)
         try:
             made = problem.candidate(problem.changes(point))
-            model, found = made.model, None
+            model, estimate = made.model, None
             if isinstance(model, Surrogate):
-                found = model.estimate_radiance(self.wi, self.wo, self._grid, walks, seed)
-            if found is None:
+                estimate = model.estimate_radiance(self.wi, self.wo, self._grid, walks, seed)
+            if estimate is None:
                 samples = max(walks // 4, DEFAULT_SAMPLES)
                 bsdf = model.bsdf(self._grid)
-                found = evaluate_with_error(bsdf, self.wi, self.wo, samples=samples, seed=seed)  # type: ignore[assignment]
+                estimate = evaluate_with_error(bsdf, self.wi, self.wo, samples=samples, seed=seed)  # type: ignore[assignment]
             surrogate = surrogate_factors(made, problem.geometries, self._grid, True)
         except (NacreError, ArithmeticError):
             return PENALTY, 0.0
-        assert found is not None and surrogate is not None
+        assert estimate is not None and surrogate is not None
         exact, approximation = surrogate
         error, estimated = np.zeros_like(approximation), exact.copy()
-        estimated[self.rows] = np.pi * found[0]
-        if found[1] is not None:
-            error[self.rows] = np.pi * found[1]
+        estimated[self.rows] = np.pi * estimate[0]
+        if estimate[1] is not None:
+            error[self.rows] = np.pi * estimate[1]
         rest, error = self.error.combine(walks, exact, approximation, estimated - exact, error)
         self._correction = Correction(rest, approximation)
         factors = exact + rest
@@ -377,13 +377,13 @@ class SurrogateSearch(Search):
     def _scout(self, generator: np.random.Generator, known: Sequence[Array], phase: Phase) -> list[Array]:
         """Return points, best first by the coarse surrogate."""
         self._correction, self._is_fine = None, False  # a correction at one point does not hold for all
-        found = [(self._rms(point), point) for point in known]
+        scouted = [(self._rms(point), point) for point in known]
         for point in draws(generator, self.problem.parameters, self.problem.removable):
             point = self._allowed(point)
-            found.append((self._rms(point), point))
+            scouted.append((self._rms(point), point))
             if phase.is_over:
                 break
-        return [point for _, point in sorted(found, key=lambda pair: pair[0])]
+        return [point for _, point in sorted(scouted, key=lambda pair: pair[0])]
 
     def _explore(self, points: Sequence[Array], phase: Phase) -> list[tuple[float, Array]]:
         """Refine the best distinct points, each with its own estimates; return (rms, point), best first.
@@ -392,7 +392,7 @@ class SurrogateSearch(Search):
         """
         options = self.options
         begun: list[Array] = []
-        found: list[tuple[float, Array]] = []
+        refined: list[tuple[float, Array]] = []
         self._is_fine = True
         for point in points:
             similar = [other for other in begun if self._structure(other) == self._structure(point)]
@@ -407,12 +407,12 @@ class SurrogateSearch(Search):
                 tried.append((self._rms(here), here))
                 if turn < options.scout_refinements:
                     here = self._refine(here, 0, options.scout_radius)[1]
-            found.append(min(tried, key=lambda pair: pair[0]))
+            refined.append(min(tried, key=lambda pair: pair[0]))
             if len(begun) >= options.starts or phase.is_over:
                 break
-        found.sort(key=lambda pair: pair[0])
+        refined.sort(key=lambda pair: pair[0])
         chosen: list[tuple[float, Array]] = []
-        for rms, point in found:
+        for rms, point in refined:
             if is_distinct(point, [other for _, other in chosen], options.min_start_distance):
                 chosen.append((rms, point))
         return chosen[: options.best_starts]
@@ -424,19 +424,19 @@ class SurrogateSearch(Search):
         low = np.array([options.min_amount if j in problem.removable else 0.0 for j in range(len(problem.parameters))])
         hopping = BasinHopping(self._residuals, self._columns, low, lengths, self._variants, self._structure)
         self._correction, self._is_fine = None, True
-        whole = self._grid, self._merit
+        full = self._grid, self._merit
         best = np.inf
-        found: list[tuple[float, Array]] = []
+        minima: list[tuple[float, Array]] = []
         try:
             self._grid, self._merit = wavelength_subset(problem, points, self.spectra, options.max_subset_error)
             hopping.begin(points[: options.fine_starts])
             for run in hopping.run(lambda: phase.is_over):
                 rms = self._rms(run.point)
-                found.append((rms, run.point))
+                minima.append((rms, run.point))
                 if rms > max(options.good_rms, min(options.poor_objective, options.gain * best)):
                     continue
                 best = min(best, rms)
-                subset, (self._grid, self._merit) = (self._grid, self._merit), whole
+                subset, (self._grid, self._merit) = (self._grid, self._merit), full
                 if rms <= options.good_rms:
                     self._converge(run.point)
                     if self.is_met:
@@ -445,14 +445,14 @@ class SurrogateSearch(Search):
                     self.estimate(run.point, options.first_walks)  # the best so far, in case the budget ends
                 self._grid, self._merit = subset
                 self._correction = None
-            found += [(self._rms(run.point), run.point) for run in hopping.open if run.jacobian is not None]
+            minima += [(self._rms(run.point), run.point) for run in hopping.open if run.jacobian is not None]
         finally:
-            self._grid, self._merit = whole
-        found.sort(key=lambda pair: pair[0])
-        for rms, point in found[1 : self.solution_count]:
+            self._grid, self._merit = full
+        minima.sort(key=lambda pair: pair[0])
+        for rms, point in minima[1 : self.solution_count]:
             if rms <= options.poor_objective and not self.is_met:
                 self.estimate(point, options.first_walks)  # another solution
-        return found[: options.best_starts]
+        return minima[: options.best_starts]
 
     def _residuals(self, point: Array) -> Array | None:
         spectra = self.spectra(point)
@@ -461,12 +461,12 @@ class SurrogateSearch(Search):
     def _variants(self, point: Array) -> list[Array]:
         """Return the point without each of its optional tables."""
         present = [i for i in self.problem.removable if point[i] > 0.0]
-        found = []
+        variants = []
         for i in present if len(present) > 1 else []:
             reduced = point.copy()
             reduced[i] = 0.0
-            found.append(self._allowed(reduced))
-        return found
+            variants.append(self._allowed(reduced))
+        return variants
 
     def _refine(
         self, start: Array, reweightings: int = 1, radius: float = 1.0, max_nfev: int | None = None
@@ -540,18 +540,18 @@ class SurrogateSearch(Search):
             )
             if np.max(np.abs(moved - point)) < options.min_radius and noise <= enough:
                 return
-            found, found_noise = self.estimate(moved, walks)
-            if found - noise - found_noise > objective:
+            estimate, estimate_noise = self.estimate(moved, walks)
+            if estimate - noise - estimate_noise > objective:
                 radius *= options.radius_shrink
                 if radius < options.min_radius:
                     return
                 continue
-            if turn >= 3 and found > options.poor_objective and found > 0.8 * objective:
+            if turn >= 3 and estimate > options.poor_objective and estimate > 0.8 * objective:
                 return  # does not improve quickly enough
-            idle = idle + 1 if found > options.gain * objective else 0
-            if idle >= options.max_idle and found > 1.0:
+            idle = idle + 1 if estimate > options.gain * objective else 0
+            if idle >= options.max_idle and estimate > 1.0:
                 return
-            point, objective, noise, correction = moved, found, found_noise, self._correction
+            point, objective, noise, correction = moved, estimate, estimate_noise, self._correction
 
 
 def is_applicable(task: DesignTask) -> bool:

@@ -89,8 +89,8 @@ class ReliefFolder(SolvableFolder):
         rgb, _ = self._evaluator.rgb(self._evaluator.surface(1e3 * changes[HEIGHTS]))
         problem = self.task.problem
         losses = exact_losses(rgb, problem.target, problem.intensity_scale)
-        written = self._write(changes[HEIGHTS], rgb, losses, self._evaluator.upsampling)
-        return {**written, "solutions": [{"recipe": str(self.folder / RECIPE), "files": FILES}]}
+        summary = self._write(changes[HEIGHTS], rgb, losses, self._evaluator.upsampling)
+        return {**summary, "solutions": [{"recipe": str(self.folder / RECIPE), "files": FILES}]}
 
     def finish(self, result: Result) -> Design:
         """Measure the heights at a converged sampling, and write them and the report."""
@@ -100,15 +100,15 @@ class ReliefFolder(SolvableFolder):
             measured = measure_design(problem, heights_nm, self.workers)
         status = STATUS.get(result.status, "done")
         losses, refinement = measured.losses, self.search.refinement
-        written = self._write(changes[HEIGHTS], measured.rgb, losses, measured.upsampling)
-        written |= {} if refinement is None else {"vector": refinement.summary}
+        evaluated = self._write(changes[HEIGHTS], measured.rgb, losses, measured.upsampling)
+        evaluated |= {} if refinement is None else {"vector": refinement.summary}
         solution, document = _evaluate(self.task, self.folder / RECIPE, changes, losses)
         summary = {
             "status": status,
             "message": f"loss {losses.fixed:.5f} at the fixed scale, {losses.free:.5f} at the best one "
             f"(scale {losses.scale_free:.4g}); {self.search.evaluations:.0f} evaluations",
             "ended_by": result.status,
-            **written,
+            **evaluated,
             "is_converged_measurement": True,
             "interrupted": status == "interrupted",
             "seconds": round(self.spent_s, 3),

@@ -301,9 +301,9 @@ class ReliefSearch(Search):
     def _on_levels(self) -> Array:
         evaluator = Evaluator(self.problem, self.problem.search_upsamplings()[1])
         x = self.leader.x.reshape(self.problem.features, -1)
-        found = optimise_levels(evaluator, x, self.problem.levels, self._is_over)
+        optimised = optimise_levels(evaluator, x, self.problem.levels, self._is_over)
         self.budget.used += evaluator.evaluations
-        return found
+        return optimised
 
     def _refine(self, coating: OpticalConstant) -> None:
         """Refine by Maxwell's equations; if the heights cannot be solved, the scalar design stays."""
@@ -501,12 +501,12 @@ def refine(
                 if moved[k] == values[k]:
                     continue
                 try:
-                    value, seen = merit(moved)
+                    value, view = merit(moved)
                 except NacreError:  # a candidate that cannot be solved
                     continue
                 count += 1
                 if value < best:
-                    best, values, rgb, improved = value, moved, seen, True
+                    best, values, rgb, improved = value, moved, view, True
             if not improved:
                 if grid is not None:
                     break
@@ -543,9 +543,9 @@ def _view_rgb(vector: VectorRelief, view: View, wi: Array) -> Array:
     """Return linear colours `[pixel, 3]` of one view for light from one direction."""
     geometry = view.geometry
     theta, azimuth = float(np.arccos(wi[2])), float(np.arctan2(wi[1], wi[0]))
-    found = vector.diffraction_orders(np.array([theta]), azimuth, geometry.wavelengths_nm)
-    power = np.nan_to_num(found.reflected[0].mean(axis=-1))  # [wavelength, order]
-    centres = np.nan_to_num(found.reflected_direction[0, :, :, :2]) + wi[:2]
+    orders = vector.diffraction_orders(np.array([theta]), azimuth, geometry.wavelengths_nm)
+    power = np.nan_to_num(orders.reflected[0].mean(axis=-1))  # [wavelength, order]
+    centres = np.nan_to_num(orders.reflected_direction[0, :, :, :2]) + wi[:2]
     width = vector.order_width_rad
     across, along = (
         np.exp(-0.5 * np.square((psi - centres[..., axis, None]) / width)) / (np.sqrt(2.0 * np.pi) * width)

@@ -389,10 +389,10 @@ def _incidence(theta_deg: float, phi_deg: float, context: RecipeContext) -> Arra
     return direction(math.radians(theta_deg), math.radians(phi_deg))
 
 
-def _spectrum_colour(given: FileSpec, context: RecipeContext) -> Array:
+def _spectrum_colour(entry: FileSpec, context: RecipeContext) -> Array:
     """Return a reflectance spectrum's display-referred colour under D65."""
     key = "target.colour.spectrum"
-    table, name = recipe_spectrum(context, key, given, ("reflectance",)), given.file
+    table, name = recipe_spectrum(context, key, entry, ("reflectance",)), entry.file
     if len(table) < 2 or (np.diff(table[:, 0]) <= 0).any():
         raise context.fail(key, name, "should contain two columns, ascending nm and reflectance")
     if table[:, 1].min() < 0.0 or table[:, 1].max() > MAX_REFLECTANCE:

@@ -156,8 +156,8 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTask:
     recipe = _recipe(spec, context)
     height_um, features = _bounds(spec, source)
     for name in ("layers", "tolerance", "limits"):
-        given = data.get(name)
-        if given and not (name in KNOWN_IN and set(given) <= KNOWN_IN[name]):
+        value = data.get(name)
+        if value and not (name in KNOWN_IN and set(value) <= KNOWN_IN[name]):
             raise RecipeError(f"{source}: [{name}] has keys that do not apply to a relief whose heights are optimised")
     places = [f"target[{i}].directions" for i, target in enumerate(spec.target) if target.directions]
     pictures = [target.directions for target in spec.target if target.directions]
@@ -226,16 +226,16 @@ def _bounds(spec: DesignSpec, source: str) -> tuple[float, int]:
         raise RecipeError(
             f"{source}: a picture over directions needs free heights: write heights = [0, 0.8] in [parameters]"
         )
-    given, features = free.pop(HEIGHTS), free.pop(FEATURES, 32)
+    limits, features = free.pop(HEIGHTS), free.pop(FEATURES, 32)
     if free:
         raise RecipeError(
             f'{source}: parameters."{next(iter(free))}" beside heights: only the heights vary; fix it in the recipe'
         )
-    ends = [given.get("min"), given.get("max")] if isinstance(given, Mapping) else given
+    ends = [limits.get("min"), limits.get("max")] if isinstance(limits, Mapping) else limits
     low, high = ends if isinstance(ends, list | tuple) and len(ends) == 2 else (None, None)
     if low != 0 or isinstance(high, bool) or not isinstance(high, int | float) or not high > 0:
         raise RecipeError(
-            f"{source}: parameters.heights = {show_value(given)} should be [0, h], h um above the relief's lowest point"
+            f"{source}: parameters.heights = {show_value(limits)} should be [0, h], h um above the lowest point"
         )
     is_count = isinstance(features, int) and not isinstance(features, bool)
     if not is_count or not 2 <= features <= LARGEST_TILE_FEATURES:
@@ -248,16 +248,16 @@ def _bounds(spec: DesignSpec, source: str) -> tuple[float, int]:
 
 def _noise(spec: DesignSpec, source: str) -> float:
     """Return the relative height noise from `[tolerance] heights = "2%"`."""
-    given = spec.tolerance.get(HEIGHTS)
-    if given is None:
+    tolerance = spec.tolerance.get(HEIGHTS)
+    if tolerance is None:
         return 0.0
-    text = f"{given.get('percent')}%" if isinstance(given, Mapping) else str(given)
+    text = f"{tolerance.get('percent')}%" if isinstance(tolerance, Mapping) else str(tolerance)
     try:
         value = float(text.removesuffix("%")) / 100.0 if text.endswith("%") else np.nan
     except ValueError:
         value = np.nan
     if not 0.0 <= value <= 1.0:
-        raise RecipeError(f'{source}: tolerance.heights = {show_value(given)} should be a percentage, such as "2%"')
+        raise RecipeError(f'{source}: tolerance.heights = {show_value(tolerance)} should be a percentage, such as "2%"')
     return value
 
 
@@ -287,8 +287,8 @@ def _with_colours(problem: Problem, relief: TargetSpec, colours: Sequence[Target
         geometry = CutGeometry(wi[0] + wo[0] + offsets, wi[1] + wo[1] + offsets, wi[None], weights.wavelengths_nm)
         lab = target.target_lab(white)
         assert lab is not None  # by `_check_colour`
-        shown = (scale / np.pi * _linear_rgb(lab, white)) ** (1.0 / GAMMA)
-        picture = np.broadcast_to(shown, (1, count, count, 3)).copy()
+        encoded = (scale / np.pi * _linear_rgb(lab, white)) ** (1.0 / GAMMA)
+        picture = np.broadcast_to(encoded, (1, count, count, 3)).copy()
         views.append(View(geometry, picture, weights.rgb_weights, reflectance))
     return replace(problem, views=tuple(views), intensity_scale=float(scale), brightness_floor=0.0)
 

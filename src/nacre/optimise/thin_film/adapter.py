@@ -63,9 +63,9 @@ class ThinFilmSearch(Search):
             self.report(is_better)
 
         with interrupt_flag() as is_interrupted:
-            found = search(self.problem, self.budget, self.solution_count, self.seed, report, is_interrupted)
+            stacks = search(self.problem, self.budget, self.solution_count, self.seed, report, is_interrupted)
             is_stopped = is_interrupted()
-        self._found = [*((s.objective, self.changes(s)) for s in found), *self._found]
+        self._found = [*((s.objective, self.changes(s)) for s in stacks), *self._found]
         if is_stopped:
             raise KeyboardInterrupt
         self.best = min((objective for objective, _ in self.solutions()), default=np.inf)
@@ -74,11 +74,11 @@ class ThinFilmSearch(Search):
 
     def solutions(self) -> list[tuple[float, Changes]]:
         """Return distinct solutions, best first."""
-        found = list(self._found)
+        stacks = list(self._found)
         if not self.problem.prefer_few_layers and not self.problem.has_tolerance:
-            found.sort(key=lambda one: one[0])  # otherwise in the search's order, by layers or by yield
+            stacks.sort(key=lambda one: one[0])  # otherwise in the search's order, by layers or by yield
         chosen: list[tuple[float, Changes]] = []
-        for objective, changes in found:
+        for objective, changes in stacks:
             if not any(are_alike(changes, other) for _, other in chosen):
                 chosen.append((objective, changes))
         return chosen[: self.solution_count]
@@ -92,18 +92,18 @@ class ThinFilmSearch(Search):
                 for name, d in zip(solution.materials, solution.thicknesses_nm)
             ]
             return {"layers": layers, **below}
-        found: Changes = {}
+        changes: Changes = {}
         for parameter in self.task.parameters:
             match = _LAYER.match(parameter.path)
             if match is None:
                 continue
             i, key = int(match[1]), match[2]
             if key == "material":
-                found[parameter.path] = self.entries[solution.materials[i]]
+                changes[parameter.path] = self.entries[solution.materials[i]]
             else:
                 value = float(solution.thicknesses_nm[i]) / LENGTH_UNITS_NM[key.rpartition("_")[2]]
-                found[parameter.path] = min(max(value, parameter.low), parameter.high)
-        return {**found, **below}
+                changes[parameter.path] = min(max(value, parameter.low), parameter.high)
+        return {**changes, **below}
 
     def merit_of(self, targets: Sequence[Target]) -> MeritFunction:
         """Return the merit function of other targets at the same geometries."""
@@ -112,8 +112,8 @@ class ThinFilmSearch(Search):
 
     def _objective(self, changes: Mapping[str, Any]) -> float:
         made, merit = self.task.material.vary(changes), self.problem.merit
-        seen = stack_factors(made, geometries_of(self.task.targets), merit.wavelengths_nm)
-        return np.inf if seen is None else float(merit.objective(merit.distances(seen)))
+        factors = stack_factors(made, geometries_of(self.task.targets), merit.wavelengths_nm)
+        return np.inf if factors is None else float(merit.objective(merit.distances(factors)))
 
     def _problem(self) -> StackProblem:
         task = self.task
@@ -179,13 +179,13 @@ class ThinFilmSearch(Search):
         """Return the media with the recipe's indices."""
         data = [{"material": self.entries[name], "thickness_nm": 1.0} for name in names]
         film = _film(self.task.material.vary({"layers": data}))
-        found = []
+        media = []
         for name, layer in zip(names, film.layers, strict=True):
             if isinstance(layer.material, AnisotropicConstant):
                 source = self.task.context.source
                 raise RecipeError(f'{source}: "{name}" is anisotropic; a stack search takes isotropic materials')
-            found.append(Medium(name, layer.material.n_complex(grid)))
-        return found
+            media.append(Medium(name, layer.material.n_complex(grid)))
+        return media
 
     def _tolerances(self, slots: int | None) -> tuple[float | tuple[float, ...], float | tuple[float, ...]]:
         """Return the thickness tolerances, relative and in nm: one number, or one per layer.
@@ -345,8 +345,8 @@ def stack_factors(
     film = _film(material)
     d = np.array([layer.thickness_at() for layer in film.layers]) if thicknesses_nm is None else thicknesses_nm
     angles = np.unique([at.theta_deg for at in rows])
-    found = powers(film.stack.indices(wavelengths_nm), d, wavelengths_nm, np.radians(angles))
-    pick = {"specular": found.reflectance, "transmitted": found.transmittance}
+    solved = powers(film.stack.indices(wavelengths_nm), d, wavelengths_nm, np.radians(angles))
+    pick = {"specular": solved.reflectance, "transmitted": solved.transmittance}
     columns = [pick[at.kind][..., int(np.searchsorted(angles, at.theta_deg)), :] for at in rows]
     return np.stack(columns, axis=-2)
 
@@ -374,19 +374,19 @@ def drawn_factors(
 @contextlib.contextmanager
 def interrupt_flag() -> Iterator[Callable[[], bool]]:
     """Turn Ctrl-C into a flag, with which the search returns its best; a second Ctrl-C interrupts."""
-    seen = threading.Event()
+    interrupted = threading.Event()
     if threading.current_thread() is not threading.main_thread():
-        yield seen.is_set
+        yield interrupted.is_set
         return
     before = signal.getsignal(signal.SIGINT)
 
     def note(number: int, frame: Any) -> None:
-        if seen.is_set():
+        if interrupted.is_set():
             raise KeyboardInterrupt
-        seen.set()
+        interrupted.set()
 
     signal.signal(signal.SIGINT, note)
     try:
-        yield seen.is_set
+        yield interrupted.is_set
     finally:
         signal.signal(signal.SIGINT, before)

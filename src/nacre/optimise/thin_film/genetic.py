@@ -133,15 +133,15 @@ def draw(space: Any, media: Any, d: Any) -> tuple[int, int]:
 def tidy(space: Any, media: Any, d: Any, layers: int) -> int:
     """Merge equal neighbours of an open stack and clip to the bounds; return the layer count."""
     if space.is_open[0]:
-        kept = 0
+        count = 0
         for j in range(layers):
-            if kept > 0 and media[kept - 1] == media[j]:
-                d[kept - 1] += d[j]
+            if count > 0 and media[count - 1] == media[j]:
+                d[count - 1] += d[j]
             else:
-                media[kept] = media[j]
-                d[kept] = d[j]
-                kept += 1
-        layers = min(kept, space.choices.shape[0])
+                media[count] = media[j]
+                d[count] = d[j]
+                count += 1
+        layers = min(count, space.choices.shape[0])
     for j in range(layers):
         d[j] = min(max(d[j], space.low[j, media[j]]), space.high[j, media[j]])
     return layers

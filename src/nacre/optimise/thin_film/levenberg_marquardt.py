@@ -180,16 +180,16 @@ def descend(
                 break
         spectra_and_gradients(tables, media, s.trial, layers, substrate, steps != 0, s.w, s.spectra, s.slopes)
         evaluate(merit, s.spectra, s.slopes, layers, steps != 0, s.r, s.jacobian, s.u)
-        found = 0.0
+        initial = 0.0
         for t in range(s.u.shape[0]):
-            found += s.u[t] ** p
-        if not found < value:
+            initial += s.u[t] ** p
+        if not initial < value:
             damping *= 6.0
             if damping > MAX_DAMPING:
                 break
             continue
-        stalls = stalls + 1 if value - found < STALL_GAIN * p * value else 0
-        value = found
+        stalls = stalls + 1 if value - initial < STALL_GAIN * p * value else 0
+        value = initial
         for j in range(layers):
             d[j] = s.trial[j]
         for t in range(s.u.shape[0]):  # for a slice numba would also compile the text of its shape error

@@ -68,9 +68,9 @@ def compile_merit(merit: MeritFunction, margin: float = 0.0) -> CompiledMerit:
     sizes = {"colour": 3, "spectrum": samples}
     for i, (goal, _, _) in enumerate(chosen):
         if goal.reflectance is not None:
-            known = np.isfinite(goal.reflectance)
-            wanted[i] = np.where(known, goal.reflectance, UNSPECIFIED)
-            shares[i] = np.sqrt(samples / known.sum())
+            is_specified = np.isfinite(goal.reflectance)
+            wanted[i] = np.where(is_specified, goal.reflectance, UNSPECIFIED)
+            shares[i] = np.sqrt(samples / is_specified.sum())
     return CompiledMerit(
         np.ascontiguousarray(np.swapaxes(merit.colour_weights, 1, 2)),
         merit.whites,
@@ -150,10 +150,10 @@ def _parts(merit: Any, t: int, l: float, a: float, b: float) -> tuple[float, flo
         wl, wa, wb = min(max(l, low), high), a, b
     elif kind == CHROMA:
         chroma = math.sqrt(a * a + b * b)
-        held = min(max(chroma, low), high)
-        wl, wa, wb = l, held, 0.0
+        clipped = min(max(chroma, low), high)
+        wl, wa, wb = l, clipped, 0.0
         if chroma > 0.0:
-            wa, wb = held * (a / chroma), held * (b / chroma)
+            wa, wb = clipped * (a / chroma), clipped * (b / chroma)
     elif kind == HUE:
         width = high - low
         if width < 360.0:

@@ -297,9 +297,9 @@ class _Island:
     stalled: int = 0
     best: float = np.inf
 
-    def add(self, found: Iterable[Stack]) -> None:
+    def add(self, stacks: Iterable[Stack]) -> None:
         """Add stacks and keep the best structures."""
-        for one in found:
+        for one in stacks:
             other = self.stacks.get(one.structure)
             if other is None or one.score < other.score:
                 self.stacks[one.structure] = one
@@ -316,11 +316,11 @@ class _Island:
     def population(self) -> tuple[genetic.Population, int]:
         """Return the stacks as arrays, best first, and their number."""
         stacks = self.ordered()
-        found = genetic.empty_population(max(len(stacks), 1), self.slots + 3)
+        arrays = genetic.empty_population(max(len(stacks), 1), self.slots + 3)
         for i, one in enumerate(stacks):
-            found.score[i], found.layers[i], found.substrate[i] = one.score, one.layers, one.substrate
-            found.media[i, : one.layers], found.d[i, : one.layers] = one.media[: one.layers], one.d[: one.layers]
-        return found, len(stacks)
+            arrays.score[i], arrays.layers[i], arrays.substrate[i] = one.score, one.layers, one.substrate
+            arrays.media[i, : one.layers], arrays.d[i, : one.layers] = one.media[: one.layers], one.d[: one.layers]
+        return arrays, len(stacks)
 
 
 def _stacks(population: genetic.Population, count: int) -> Iterator[Stack]:
@@ -396,11 +396,11 @@ class Engine:
     def spectra(self, one: Stack) -> Array:
         """Return `[row, wavelength]` on all wavelengths."""
         rows, _, samples = self.fine_tables.turns_r.shape
-        seen, none = np.zeros((rows, samples)), np.zeros((rows, 1, samples))
+        factors, none = np.zeros((rows, samples)), np.zeros((rows, 1, samples))
         spectra_and_gradients(
-            self.fine_tables, one.media, one.d, one.layers, one.substrate, False, scratch(one.layers), seen, none
+            self.fine_tables, one.media, one.d, one.layers, one.substrate, False, scratch(one.layers), factors, none
         )
-        return seen
+        return factors
 
     def solution(self, one: Stack) -> StackSolution:
         """Return a stack with names, evaluated by the merit function itself."""
@@ -431,10 +431,10 @@ class Engine:
             d[:n] = np.clip(d[:n] * np.exp(size * rng.normal(size=n)), low, high)
             keep_total(d, low, n, float(self.space.total[0]))
             step = dataclasses.replace(best, d=d)
-            found = self.yield_share(step, SETTLING_SEED)
-            size = 1.3 * size if found > share else max(0.93 * size, smallest)
-            if found > share:
-                best, share = step, found
+            trial_share = self.yield_share(step, SETTLING_SEED)
+            size = 1.3 * size if trial_share > share else max(0.93 * size, smallest)
+            if trial_share > share:
+                best, share = step, trial_share
         return best
 
     def yield_share(self, one: Stack, seed: int = YIELD_SEED) -> float:
@@ -443,12 +443,12 @@ class Engine:
         sigma = np.hypot(self.space.relative[:layers] * one.d[:layers], self.space.absolute[:layers])
         rng = np.random.default_rng(seed)
         rows, _, samples = self.tables.turns_r.shape
-        seen, none, w = np.zeros((draws, rows, samples)), np.zeros((rows, 1, samples)), scratch(layers)
-        for out, z in zip(seen, rng.normal(size=(draws, self.slots))):
+        factors, none, w = np.zeros((draws, rows, samples)), np.zeros((rows, 1, samples)), scratch(layers)
+        for out, z in zip(factors, rng.normal(size=(draws, self.slots))):
             d = np.maximum(one.d[:layers] + sigma * z[:layers], 0.0)
             spectra_and_gradients(self.tables, one.media, d, layers, one.substrate, False, w, out, none)
         tolerances = np.array([self.merit.operands[g].tolerance for g, _ in self.merit.terms])
-        return float(np.mean(np.all(self.coarse_merit.distances(seen) <= tolerances, axis=-1)))
+        return float(np.mean(np.all(self.coarse_merit.distances(factors) <= tolerances, axis=-1)))
 
 
 def is_alike(one: StackSolution, other: StackSolution) -> bool:
@@ -490,8 +490,8 @@ def search(
     if not budget.seconds > 0.0:
         raise NacreError(f"seconds = {budget.seconds:g} is not allowed; it must be above 0")
     engine = Engine(problem, jobs, options)
-    found = _explore(engine, budget, seed, on_progress, stop)
-    return choose(engine, found, solutions, budget.start_time + budget.seconds)
+    stacks = _explore(engine, budget, seed, on_progress, stop)
+    return choose(engine, stacks, solutions, budget.start_time + budget.seconds)
 
 
 def default_evaluations(problem: StackProblem) -> float:
@@ -560,10 +560,10 @@ def _shortened(space: genetic.Space, layers: int) -> genetic.Space:
     )
 
 
-def choose(engine: Engine, found: Sequence[Stack], solutions: int, end_time: float) -> list[StackSolution]:
+def choose(engine: Engine, stacks: Sequence[Stack], solutions: int, end_time: float) -> list[StackSolution]:
     """Refine the best stacks on all wavelengths and return distinct ones, best first."""
     options, problem = engine.options, engine.problem
-    ordered = sorted({id(one): one for one in found}.values(), key=lambda one: one.score)
+    ordered = sorted({id(one): one for one in stacks}.values(), key=lambda one: one.score)
     if problem.has_tolerance:  # a refinement would leave the tolerance region's middle
         first = ordered[: 2 * solutions + 2]
         finished = [engine.solution(one) for one in first]
@@ -616,13 +616,13 @@ def many(
     first = int(np.random.SeedSequence([seed, 0]).generate_state(1)[0])
     genetic.draw_many(engine.tables, engine.compiled, engine.space, first, engine.workspaces[0], draws, labs)
     numbers = iter(range(len(merits)) if which is None else which)
-    found: list[StackSolution | None] = [None] * len(merits)
+    solutions_found: list[StackSolution | None] = [None] * len(merits)
 
     def work() -> None:
         own = Engine(problem, 1, engine.options)
         for i in numbers:
             own.aim(merits[i])
-            found[i] = one = own.solution(_from_draws(own, draws, labs, seed, i))
+            solutions_found[i] = one = own.solution(_from_draws(own, draws, labs, seed, i))
             if on_progress is not None:
                 on_progress(i, one)
 
@@ -635,7 +635,7 @@ def many(
                 pass  # after an error or an interrupt the rest is not begun
         for future in futures:
             future.result()
-    return [one for one in found if one is not None]
+    return [one for one in solutions_found if one is not None]
 
 
 def local_metric(lab: Array) -> Array:
