@@ -253,8 +253,8 @@ def diagnose(
         advice = _advice(likelihood, suspects)
     elif verdict == "several causes":
         advice = _advice_for_all(likelihood, factors, covariance)
-    at = {name: suspects[0].factor * (name == suspects[0].name) for name in likelihood.names}
-    best = factors if verdict == "several causes" else np.array([at[name] for name in likelihood.names])
+    single = likelihood.along(likelihood.names.index(best_one.name), best_one.factor)
+    best = factors if verdict == "several causes" else single
     return Diagnosis(
         suspects=suspects,
         nominal_chi2=nominal_chi2,
@@ -331,10 +331,6 @@ class _Likelihood:
         """Return chi-squared of the measurement, without the prior."""
         return float(np.sum(self.residual(factors) ** 2))
 
-    def jacobian(self, factors: Array) -> Array:
-        """Return the derivatives of the residuals, `[value, cause]`."""
-        return _central_differences(self.residual, factors)
-
     def along(self, number: int, factor: float) -> Array:
         """Return the factors with one cause at a value and the others at 0."""
         factors = np.zeros(len(self.causes))
@@ -404,7 +400,7 @@ def _all_causes(likelihood: _Likelihood, best: Suspect) -> tuple[Array, Array, f
             least_squares(
                 lambda x: np.concatenate([likelihood.residual(x), x]),
                 start,
-                jac=lambda x: np.concatenate([likelihood.jacobian(x), np.eye(count)]),
+                jac=lambda x: np.concatenate([_central_differences(likelihood.residual, x), np.eye(count)]),
                 max_nfev=MAX_STEPS,
             )
             for start in starts

@@ -328,7 +328,8 @@ class EllipsometryData:
         matrices = np.empty((len(self.angles_deg), 4, 4))
         for angles, waves, rows in self._grids():
             computed = averaged_mueller(stack, angles, waves, instrument.azimuth_deg, instrument)
-            matrices[rows] = computed[np.searchsorted(angles, self.angles_deg[rows]), _places(waves, self, rows)]
+            places = np.searchsorted(waves, self.row_wavelengths_nm[rows])
+            matrices[rows] = computed[np.searchsorted(angles, self.angles_deg[rows]), places]
         response = EllipsometricResponse(self.row_wavelengths_nm, self.angles_deg, matrices)
         if self.quantities[0].startswith("m"):
             relative = response.relative
@@ -394,10 +395,6 @@ def _angles(ncs: Array) -> tuple[Array, Array]:
     n, c, s = ncs
     psi = np.degrees(0.5 * np.arctan2(np.hypot(c, s), n))
     return np.asarray(psi), np.asarray(np.mod(np.degrees(np.arctan2(s, c)), 360.0))
-
-
-def _places(waves: Array, data: EllipsometryData, rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    return np.searchsorted(waves, data.row_wavelengths_nm[rows])
 
 
 def ellipsometry_data(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
 import json
@@ -26,7 +25,7 @@ from nacre.optimise.colour_list import ColourRow, read_colours
 from nacre.optimise.evaluation import TargetResult, evaluate
 from nacre.optimise.relief.task import ReliefTask
 from nacre.optimise.run import document_of, read_target, search_of
-from nacre.optimise.solutions import NEED_BYTES, RECIPE, Solution
+from nacre.optimise.solutions import NEED_BYTES, RECIPE, Solution, remove_solution
 from nacre.optimise.targets import Target
 from nacre.optimise.task import DesignTask, palette_name, total_thickness_nm
 from nacre.optimise.thin_film.adapter import thin_film_search_many
@@ -264,14 +263,9 @@ class _BatchFolder:
         return dict(summary)
 
     @property
-    def done(self) -> list[int]:
-        """Finished row numbers."""
-        return sorted(self._documents)
-
-    @property
     def rows(self) -> list[dict[str, Any]]:
         """Finished row documents."""
-        return [self._documents[number] for number in self.done]
+        return [document for _, document in sorted(self._documents.items())]
 
     def place(self, number: int) -> Path:
         """Return a row's folder, planned before the first solution is written.
@@ -280,7 +274,9 @@ class _BatchFolder:
             NacreError: the folder cannot be written.
         """
         if not self._is_planned:
-            self._plan()
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._write("running")  # the names of all folders, so that a killed run can be repeated
+            self._is_planned = True
         return self.folder / self.names[number]
 
     def add(self, number: int, task: Task, solution: Solution) -> None:
@@ -302,9 +298,9 @@ class _BatchFolder:
     def earlier(self, tasks: Sequence[Task]) -> dict[int, Solution]:
         """Return an earlier run's solutions, with their evaluation; a damaged row is forgotten."""
         solutions = {}
-        for number in self.done:
+        for number, document in sorted(self._documents.items()):
             try:
-                solutions[number] = self._read(number, self._documents[number], tasks[number])
+                solutions[number] = self._read(number, document, tasks[number])
             except (KeyError, TypeError, ValueError, AttributeError, NacreError):
                 del self._documents[number]
         return solutions
@@ -339,12 +335,6 @@ class _BatchFolder:
         if self._documents:
             self._write(status)
 
-    def _plan(self) -> None:
-        """Write the names of all folders before the first one, so that a killed run can be repeated."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self._write("running")
-        self._is_planned = True
-
     def _write(self, status: str) -> None:
         self._last = time.monotonic()
         summary = {
@@ -361,7 +351,7 @@ class _BatchFolder:
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=1, default=str) + "\n")
         write_text(self.folder / TABLE, _table(self.rows))
         for name, row in self._stale.items():
-            _remove(self.folder / name, row)
+            remove_solution(self.folder / name, row)
         self._stale = {}
 
 
@@ -410,13 +400,3 @@ def _cell(value: Any) -> str:
     if isinstance(value, list):
         return " | ".join(f"{palette_name(one['material'])} {one['thickness_nm']:.2f}" for one in value)
     return f"{value:.6g}" if isinstance(value, float) else str(palette_name(value) if value != "" else "")
-
-
-def _remove(folder: Path, row: Mapping[str, Any]) -> None:
-    names = row.get("files", [])
-    for name in names if isinstance(names, list) else ():
-        if Path(str(name)).name == name:
-            with contextlib.suppress(OSError):
-                (folder / name).unlink()
-    with contextlib.suppress(OSError):
-        folder.rmdir()

@@ -26,13 +26,14 @@ from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import check_room, check_writable, output_folder, read_text, write_text
 from nacre.core.jit import clock
 from nacre.families.contract import Surrogate, surrogate_radiance
-from nacre.light import lamp_lines_nm, spectrum_to_xyz, with_lamp_lines
+from nacre.light import spectrum_to_xyz
 from nacre.material.material import Material, material
 from nacre.measure.colours import WALK_NM
 from nacre.measure.geometry import Geometry, aspecular_pairs, named_geometries
 from nacre.measure.texture import Fidelity, TextureQuantity, texture_values
 from nacre.optimise.checkpoint import Checkpointer, DesignFolder, unreadable
 from nacre.optimise.evaluation import geometries_of
+from nacre.optimise.measurement import with_lines
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.least_squares import minimise_residuals, sobol_points
 from nacre.optimise.methods.surrogate import Correction
@@ -285,8 +286,7 @@ def read_formulation(target: str | Path | Mapping[str, Any]) -> Task:
         if each.geometry.kind != "aspecular" or each.image is not None:
             raise RecipeError(f'{each.key}.geometry = "{each.geometry}" is not aspecular; write such as "45as15"')
     geometries = tuple(geometries_of(targets))
-    grid = _grid(spec)
-    merit = merit_function(targets, geometries, spec.light, grid)
+    merit = merit_function(targets, geometries, spec.light, with_lines(WALK_NM, spec.light.illuminants))
     task = Task(spec, library, context, folder, targets, geometries, merit, start, {})
     optics = [(each.name, each.platelet) for each in library.pigment] + [(each.name, each.dye) for each in library.dye]
     for name, table in optics:
@@ -305,13 +305,6 @@ def read_formulation(target: str | Path | Mapping[str, Any]) -> Task:
     for paint in paints:
         files |= paint.material.context.files
     return replace(task, files=files)
-
-
-def _grid(spec: FormulationSpec) -> Array:
-    grid = WALK_NM
-    for lamp in spec.light.illuminants:
-        grid = with_lamp_lines(grid, lamp) if len(lamp_lines_nm(lamp)) else grid
-    return np.asarray(grid)
 
 
 def _paint(task: Task, pigments: Sequence[PigmentSpec], dye: DyeSpec | None) -> _Paint:

@@ -39,7 +39,15 @@ from nacre.measure.geometry import Geometry
 from nacre.optimise.evaluation import lab_hex
 from nacre.optimise.measurement import check_answers, search_wavelengths, simulate_measurement
 from nacre.optimise.methods.least_squares import sobol_points
-from nacre.optimise.parameters import Parameter, combinations, nominal_point, read_parameters, refuse_ties, values_at
+from nacre.optimise.parameters import (
+    Parameter,
+    combinations,
+    nominal_point,
+    read_parameters,
+    refuse_ties,
+    trial_materials,
+    values_at,
+)
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import check_light
 from nacre.optimise.task import DesignTask
@@ -191,7 +199,7 @@ def find_gamut(
     refuse_ties(material, [number.path for number in free], source)
     if not free:
         raise RecipeError(f"{source}: nothing is free; use --parameter PATH=LOW:HIGH")
-    at = applicable_geometry([material, *_variants(material, free)], geometry, f"{source}: geometry")
+    at = applicable_geometry([material, *trial_materials(free, material)], geometry, f"{source}: geometry")
     draws = (points, seconds, seed)
     return _parameter_gamut(material, free, at, (illuminant, observer), draws, tolerance, samples, progress)
 
@@ -263,7 +271,7 @@ def _parameter_gamut(
     """
     count, seconds, seed = draws
     start = clock()
-    grid = search_wavelengths([material, *_variants(material, parameters)][-1], [light[0]])
+    grid = search_wavelengths([material, *trial_materials(parameters, material)][-1], [light[0]])
     weights, white = xyz_weights(grid, *light), white_xyz(*light)
     possible = _combinations(parameters, count)
     if possible:
@@ -281,6 +289,8 @@ def _parameter_gamut(
     labs: list[Array] = []
     failed = done = 0
     while done < count and (seconds is None or clock() - start < seconds or done < MIN_POINTS):
+        if done == len(planned) and not points:
+            break
         point = planned[done] if done < len(planned) else _near_extreme(points, np.array(labs), done, generator)
         done += 1
         try:
@@ -300,16 +310,6 @@ def _parameter_gamut(
     return replace(gamut, failed=failed, possible=len(possible) or None)
 
 
-def _variants(material: Material, parameters: Sequence[Parameter]) -> list[Material]:
-    variants = []
-    for share in (0.5, 0.99):
-        try:
-            variants.append(material.vary(values_at(parameters, np.full(len(parameters), share))))
-        except NacreError:
-            continue
-    return variants
-
-
 def _combinations(parameters: Sequence[Parameter], most: int) -> list[Array]:
     """Return all discrete parameter combinations; empty if a parameter is continuous, or if they are too many."""
     if not all(p.choices or p.is_whole for p in parameters):
@@ -320,8 +320,6 @@ def _combinations(parameters: Sequence[Parameter], most: int) -> list[Array]:
 
 def _near_extreme(points: Sequence[Array], labs: Array, turn: int, generator: np.random.Generator) -> Array:
     """Return a point near the most extreme one in a hue and lightness direction."""
-    if not len(labs):
-        return generator.random(0)
     hue = 2.0 * np.pi * (turn % HUES) / HUES
     tilt = (-0.5, 0.0, 0.5)[turn // HUES % 3]
     extent = labs[:, 1] * np.cos(hue) + labs[:, 2] * np.sin(hue) + tilt * labs[:, 0]

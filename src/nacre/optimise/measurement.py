@@ -182,16 +182,17 @@ def search_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
     if not material.model.traits.is_quick:
         coarse = WALK_NM[(WALK_NM >= grid[0]) & (WALK_NM <= grid[-1])]
         grid = coarse if len(coarse) < len(grid) and spans_colour(coarse) else grid
-    return _with_lines(grid, lamps)
+    return with_lines(grid, lamps)
 
 
 def evaluation_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
     """Return the final evaluation wavelengths: steps of 1 nm for quick materials, else the material defaults."""
-    own = _with_lines(material.model.wavelengths_nm, lamps)
+    own = with_lines(material.model.wavelengths_nm, lamps)
     return np.union1d(own, default_wavelengths(step_nm=EVALUATION_STEP_NM)) if material.model.traits.is_quick else own
 
 
-def _with_lines(grid: Array, lamps: Sequence[str]) -> Array:
+def with_lines(grid: Array, lamps: Sequence[str]) -> Array:
+    """Return a grid that also samples the lines of narrow-band lamps."""
     for lamp in lamps:
         if len(lamp_lines_nm(lamp)):
             grid = with_lamp_lines(grid, lamp)

@@ -6,6 +6,7 @@ at 0, such as the amount of a pigment, may remove its table.
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import itertools
 import math
@@ -112,7 +113,7 @@ def _read(path: str, entry: Any, material: Material, where: str, words: bool) ->
     low, high = float(low), float(high)  # type: ignore[arg-type]  # both are numbers
     if not low < high:
         raise RecipeError(f"{where} = {show_value(entry)}: the bounds cross; the first should be below the second")
-    value = _recipe_value(material, path)
+    value = recipe_value(material, path)
     if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
         raise RecipeError(f"{where}: the recipe's value {show_value(value)} is not a number; write choices = [...]")
     return _number(path, low, high, material, where)
@@ -176,7 +177,8 @@ def _choices(path: str, entry: Mapping[str, Any], material: Material, where: str
     return Parameter(path, choices=tuple(choices))
 
 
-def _recipe_value(material: Material, path: str) -> Any:
+def recipe_value(material: Material, path: str) -> Any:
+    """Return the recipe's value at a path; None without one."""
     try:
         return material.get(path)
     except (RecipeError, KeyError, IndexError, TypeError):
@@ -204,7 +206,7 @@ def refuse_ties(material: Material, paths: Sequence[str], source: str) -> None:
 
 def nominal_point(parameters: Sequence[Parameter], material: Material) -> Array | None:
     """Return the recipe's own values as a unit cube point; None if one lies outside its bounds."""
-    return point_of(parameters, {p.path: _recipe_value(material, p.path) for p in parameters})
+    return point_of(parameters, {p.path: recipe_value(material, p.path) for p in parameters})
 
 
 def point_of(parameters: Sequence[Parameter], values: Mapping[str, Any]) -> Array | None:
@@ -226,6 +228,15 @@ def combinations(parameters: Sequence[Parameter]) -> tuple[float, Iterator[Array
 def values_at(parameters: Sequence[Parameter], point: Array) -> dict[str, Any]:
     """Return the recipe's changes at a unit cube point."""
     return {p.path: p.value(unit) for p, unit in zip(parameters, point, strict=True)}
+
+
+def trial_materials(parameters: Sequence[Parameter], material: Material) -> list[Material]:
+    """Return the material in the middle and near the top of the bounds, as far as it is valid there."""
+    variants = []
+    for share in (0.5, 0.99):
+        with contextlib.suppress(NacreError):
+            variants.append(material.vary(values_at(parameters, np.full(len(parameters), share))))
+    return variants
 
 
 TABLE_VARIANTS = 24  # draws of the contents of a removable table; they are combined freely
@@ -301,9 +312,7 @@ def values_of(material: Material, parameters: Sequence[Parameter], changes: Mapp
     except NacreError:
         return None
     removable = removable_tables(parameters, material)
-    moved: dict[str, str | None] = {}
-    for table in removable.values():
-        moved.update(_moved(material, data, table, [p.path for p in parameters]))
+    moved = {table: _moved(material, data, table, [p.path for p in parameters]) for table in removable.values()}
     values = []
     for i, parameter in enumerate(parameters):
         path: str | None = parameter.path
@@ -337,12 +346,12 @@ def is_chosen(path: str, changes: Mapping[str, Any], parameters: Sequence[Parame
     return chosen and any(is_within(path, each) for each in changes)
 
 
-def _moved(material: Material, data: Mapping[str, Any], table: str, paths: Sequence[str]) -> dict[str, str | None]:
+def _moved(material: Material, data: Mapping[str, Any], table: str, paths: Sequence[str]) -> str | None:
     """Return a table's new path; entries of a list are recognised by everything that is not a parameter."""
     source = material.context.source
     if not table.endswith("]"):
         holder, last = find_by_path(data, table, source)
-        return {table: table if last in holder else None}
+        return table if last in holder else None
     path, _, index = table.rpartition("[")
     before, now = (find_by_path(each, path, source) for each in (material.data, data))
     old, new = before[0][before[1]], now[0][now[1]]
@@ -351,9 +360,9 @@ def _moved(material: Material, data: Mapping[str, Any], table: str, paths: Seque
         own = [p[len(f"{path}[{i}].") :] for p in paths if is_within(p, f"{path}[{i}]")]
         is_there = place < len(new) and _without(entry, own) == _without(new[place], own)
         if i == int(index[:-1]):
-            return {table: f"{path}[{place}]" if is_there else None}
+            return f"{path}[{place}]" if is_there else None
         place += is_there
-    return {table: None}
+    return None
 
 
 def _without(entry: Any, paths: Sequence[str]) -> Any:

@@ -20,7 +20,7 @@ from nacre.material.material import Material
 from nacre.optimise.evaluation import geometries_of
 from nacre.optimise.measurement import Measurement, search_wavelengths, simulate_measurement
 from nacre.optimise.merit import MeritFunction
-from nacre.optimise.parameters import changes_of, point_of, removable_tables, values_of
+from nacre.optimise.parameters import changes_of, point_of, recipe_value, removable_tables, values_at, values_of
 from nacre.optimise.solutions import are_alike
 from nacre.optimise.targets import merit_function
 from nacre.optimise.task import DesignTask, total_thickness_nm
@@ -167,10 +167,8 @@ class Problem:
 
     def changes(self, point: Array) -> Changes:
         """Return recipe changes for a point."""
-        values = [p.value(unit) for p, unit in zip(self.parameters, point, strict=True)]
-        if self.removable:
-            return changes_of(self.material, self.parameters, values)
-        return {p.path: value for p, value in zip(self.parameters, values)}
+        changes = values_at(self.parameters, point)
+        return changes_of(self.material, self.parameters, list(changes.values())) if self.removable else changes
 
     def point_of(self, changes: Mapping[str, Any]) -> Array | None:
         """Return the point for recipe changes; None if they are incomplete or out of bounds."""
@@ -184,14 +182,8 @@ class Problem:
 
     def nominal_point(self) -> Array:
         """Return the recipe's own values as a point, the middle of the bounds for those out of bounds."""
-        units = []
-        for parameter in self.parameters:
-            try:
-                unit = parameter.unit(self.material.get(parameter.path))
-            except (NacreError, KeyError, IndexError, TypeError):
-                unit = None
-            units.append(0.5 if unit is None else unit)
-        return np.array(units, dtype=float)
+        units = [p.unit(recipe_value(self.material, p.path)) for p in self.parameters]
+        return np.array([0.5 if unit is None else unit for unit in units], dtype=float)
 
     def candidate(self, changes: Mapping[str, Any]) -> Material:
         """Return a candidate material.

@@ -34,10 +34,7 @@ def take_apart(data: dict[str, Any], used: list[str]) -> dict[str, str]:
         if isinstance(value, Mapping) and "family" in value:
             inner = dict(value)
             texts |= take_apart(inner, used)
-            number, name = 1, f"{key}.toml"
-            while name in used:
-                number += 1
-                name = f"{key}-{number}.toml"
+            name = _free_name(f"{key}.toml", used)
             used.append(name)
             texts[name] = dump_toml(inner)
             data[key] = {"recipe": name}
@@ -239,13 +236,18 @@ def clear_solutions(out: Path, keep: int, summary: str = SUMMARY, key: str = "so
         return
     for number in range(keep + 1, len(earlier) + 1):
         folder = folder_of(out, number)
-        names = earlier[number - 1].get("files", []) if isinstance(earlier[number - 1], dict) else []
-        for name in names:
-            if Path(str(name)).name == name:
-                with contextlib.suppress(OSError):
-                    (folder / name).unlink()
-        with contextlib.suppress(OSError):
-            folder.rmdir()
+        remove_solution(folder, earlier[number - 1])
+
+
+def remove_solution(folder: Path, document: Any) -> None:
+    """Remove the files of a solution in a summary, and its folder if nothing else is in it."""
+    names = document.get("files", []) if isinstance(document, dict) else []
+    for name in names if isinstance(names, list) else ():
+        if Path(str(name)).name == name:
+            with contextlib.suppress(OSError):
+                (folder / name).unlink()
+    with contextlib.suppress(OSError):
+        folder.rmdir()
 
 
 def write_summary(out: Path, summary: Mapping[str, Any]) -> None:

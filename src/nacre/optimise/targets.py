@@ -16,6 +16,7 @@ from nacre.light import (
     ILLUMINANTS,
     OBSERVERS,
     delta_e_2000,
+    hex_to_srgb,
     lch_to_lab,
     srgb_decode,
     srgb_linear_to_xyz,
@@ -129,12 +130,10 @@ def srgb_to_lab(text: str, where: str) -> Array:
 
     Example: "#ffffff" is (100, 0, 0).
     """
-    match = _HEX.match(text.strip())
-    if not match:
+    if not _HEX.match(text.strip()):
         raise RecipeError(f'{where} = {show_value(text)} should be written "#rrggbb"')
-    digits = match[1] if len(match[1]) == 6 else "".join(2 * d for d in match[1])
-    rgb = np.array([int(digits[i : i + 2], 16) for i in (0, 2, 4)]) / 255.0
-    return np.asarray(xyz_to_lab(srgb_linear_to_xyz(srgb_decode(rgb)), srgb_linear_to_xyz(np.ones(3))))
+    rgb = srgb_decode(np.array(hex_to_srgb(text)))
+    return np.asarray(xyz_to_lab(srgb_linear_to_xyz(rgb), srgb_linear_to_xyz(np.ones(3))))
 
 
 def read_targets(

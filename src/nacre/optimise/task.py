@@ -20,7 +20,7 @@ from nacre.measure.geometry import Geometry, named_geometries
 from nacre.optimise.evaluation import TargetResult, geometries_of
 from nacre.optimise.image.files import map_stem
 from nacre.optimise.measurement import check_answers
-from nacre.optimise.parameters import Parameter, read_parameters, refuse_ties, values_at
+from nacre.optimise.parameters import Parameter, read_parameters, refuse_ties, trial_materials
 from nacre.optimise.solutions import Solution, write_recipe
 from nacre.optimise.spec import DesignSpec, LayersSpec, LightSpec
 from nacre.optimise.targets import Target, read_targets
@@ -423,14 +423,7 @@ def check_index(value: Any, where: str, context: RecipeContext) -> IndexSpec:
 
 def _check_geometries(target: DesignTask) -> None:
     """Refuse a geometry without signal for all parameter values."""
-    tried = [target.material]
-    if target.parameters:
-        for share in (0.5, 0.99):
-            values = values_at(target.parameters, [share] * len(target.parameters))  # type: ignore[arg-type]  # any sequence will do
-            try:
-                tried.append(target.material.vary(values))
-            except NacreError:
-                continue
+    tried = [target.material, *(trial_materials(target.parameters, target.material) if target.parameters else ())]
     for other in substrates(target.spec.layers)[1:] if target.spec.layers else ():
         tried.append(target.material.vary({"substrate": other}))
     rows = geometries_of(target.targets)

@@ -243,7 +243,7 @@ def _key(model: type[RecipeModel], key: Key) -> dict[str, Any]:
         "unit": key.unit.partition(";")[0],
         "value": key.value,
         "is_required": field.is_required(),
-        "default": _json(default),
+        "default": default if isinstance(default, str | int | float | bool | list | dict) else None,
         "kind": _kind(key, field.annotation, metadata),
         "spellings": {other: length_factor(other, key.name) for other in spellings(key.name) if other != key.name},
         "tables": [_name(table) for table in key.own_tables],
@@ -320,7 +320,3 @@ def _template(key: Key) -> Any:
         if not key.is_list and isinstance(value, dict):
             return value
     return None
-
-
-def _json(value: Any) -> Any:
-    return value if isinstance(value, str | int | float | bool | list | dict) else None

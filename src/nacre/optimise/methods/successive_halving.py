@@ -18,8 +18,7 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.jit import clock
-from nacre.light import lamp_lines_nm, with_lamp_lines
-from nacre.optimise.measurement import evaluation_wavelengths
+from nacre.optimise.measurement import evaluation_wavelengths, with_lines
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.least_squares import is_distinct, reweighted
 from nacre.optimise.methods.local_minima import Descent, descend
@@ -97,9 +96,7 @@ class SuccessiveHalvingSearch(Search):
         fine = np.asarray(evaluation_wavelengths(problem.material, lamps))
 
         def fidelity(grid: Array, is_draft: bool = False) -> Fidelity:
-            for lamp in lamps:
-                if len(lamp_lines_nm(lamp)):
-                    grid = with_lamp_lines(grid, lamp)
+            grid = with_lines(grid, lamps)
             return Fidelity(grid, problem.merit_on(grid), is_draft)
 
         self.fine = fidelity(fine)

@@ -20,12 +20,12 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.machine import single_threaded_blas
 from nacre.families.contract import Surrogate
-from nacre.light import delta_e_2000, lamp_lines_nm, with_lamp_lines
+from nacre.light import delta_e_2000
 from nacre.measure.evaluate import DEFAULT_SAMPLES, evaluate_with_error
 from nacre.measure.geometry import aspecular_pairs
 from nacre.measure.texture import TextureQuantity
 from nacre.optimise.evaluation import geometries_of, rank
-from nacre.optimise.measurement import surrogate_factors
+from nacre.optimise.measurement import surrogate_factors, with_lines
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.least_squares import is_distinct, refine
 from nacre.optimise.methods.local_minima import BasinHopping
@@ -193,9 +193,7 @@ def wavelength_subset(
     targets = problem.task.targets
     if SUBSET_NM[0] < grid[0] or SUBSET_NM[-1] > grid[-1] or any(target.spectrum is not None for target in targets):
         return full  # a target spectrum is compared on all its wavelengths
-    subset = SUBSET_NM
-    for lamp in problem.task.spec.light.illuminants:
-        subset = with_lamp_lines(subset, lamp) if len(lamp_lines_nm(lamp)) else subset
+    subset = with_lines(SUBSET_NM, problem.task.spec.light.illuminants)
     if len(subset) >= len(grid):
         return full
     reduced = problem.merit_on(subset)

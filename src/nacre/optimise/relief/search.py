@@ -123,6 +123,7 @@ class ReliefSearch(Search):
     """
 
     default_evaluations = np.inf
+    is_met = False  # the stages end the search
 
     def __init__(
         self,
@@ -152,11 +153,6 @@ class ReliefSearch(Search):
     def evaluations(self) -> float:
         """Evaluations, those of earlier runs included."""
         return self.earlier_evaluations + self.budget.used
-
-    @property
-    def is_met(self) -> bool:
-        """False: the stages end the search."""
-        return False
 
     @property
     def description(self) -> str:

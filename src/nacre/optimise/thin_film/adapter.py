@@ -142,12 +142,11 @@ class ThinFilmSearch(Search):
         )
 
     def _open_stack(self, layers: LayersSpec) -> tuple[None, list[str], list[str]]:
-        for entry in layers.palette:
-            self.entries[palette_name(entry)] = entry
         below = substrates(layers) or [self.task.material.data["substrate"]]
-        return None, [palette_name(e) for e in layers.palette], [self._below(entry) for entry in below]
+        return None, [self._name(entry) for entry in layers.palette], [self._name(entry) for entry in below]
 
-    def _below(self, entry: Any) -> str:
+    def _name(self, entry: Any) -> str:
+        """Return the name of a medium, whose entry is then known."""
         name = palette_name(entry)
         self.entries[name] = entry
         return name
@@ -161,9 +160,7 @@ class ThinFilmSearch(Search):
         for i, layer in enumerate(layers):
             choice = free.get(f"layers[{i}].material")
             entries = list(choice.choices) if choice is not None else [layer["material"]]
-            for entry in entries:
-                self.entries[palette_name(entry)] = entry
-            own = tuple(palette_name(entry) for entry in entries)
+            own = tuple(self._name(entry) for entry in entries)
             names |= dict.fromkeys(own)
             low = high = film.layers[i].thickness_at()
             for unit, factor in LENGTH_UNITS_NM.items():
@@ -173,7 +170,7 @@ class ThinFilmSearch(Search):
             slots.append(Slot(own, float(low), float(high)))
         choice = free.get("substrate")
         below = list(choice.choices) if choice is not None else [self.task.material.data["substrate"]]
-        return tuple(slots), list(names), [self._below(entry) for entry in below]
+        return tuple(slots), list(names), [self._name(entry) for entry in below]
 
     def _media(self, names: Sequence[str], grid: Array) -> list[Medium]:
         """Return the media with the recipe's indices."""
