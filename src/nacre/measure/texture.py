@@ -223,21 +223,14 @@ def calibrate(pairs: Sequence[Pair], value: float) -> tuple[float, bool]:
         >>> calibrate([(10.0, 2.0), (20.0, 6.0)], 15.0)
         (4.0, False)
     """
-    groups: list[list[float]] = []  # sum of y, count, and the x of the group's points
+    from scipy.optimize import isotonic_regression
+
     ordered: dict[float, list[float]] = {}
     for x, y in sorted(pairs):
         ordered.setdefault(x, []).append(y)
-    places: list[list[float]] = []
-    for x, values in ordered.items():
-        groups.append([sum(values), float(len(values))])
-        places.append([x])
-        while len(groups) > 1 and groups[-2][0] / groups[-2][1] > groups[-1][0] / groups[-1][1]:
-            total, count = groups.pop()
-            groups[-1][0] += total
-            groups[-1][1] += count
-            last = places.pop()
-            places[-1] += last
-    nodes = [(x, total / count) for xs, (total, count) in zip(places, groups, strict=True) for x in xs]
+    means = [sum(values) / len(values) for values in ordered.values()]
+    rising = isotonic_regression(means, weights=[len(values) for values in ordered.values()]).x
+    nodes = list(zip(ordered, map(float, rising), strict=True))
     is_outside = not nodes[0][0] <= value <= nodes[-1][0]
     if value > nodes[-1][0]:
         return nodes[-1][1] * value / nodes[-1][0], is_outside

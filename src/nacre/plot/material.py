@@ -44,6 +44,7 @@ MAP_ANGLES_DEG = np.linspace(0.0, 85.0, 35)
 OVER_KINDS = ("spectrum", "ribbon", "tracks", "colour-map", "chromaticity")
 COLOURED_DATA = ("colour-map", "platelet", "microscope")  # figures of arrays that show colours
 DIRECTIONAL_KINDS = ("slice", "lobe", "tracks")
+CURVE_FIGURES = {"spectrum": spectrum_figure, "ribbon": ribbon_figure}
 
 
 def material_figure(
@@ -84,38 +85,34 @@ def material_figure(
     if lightness is not None and kind != "tracks":
         raise UnsupportedError(f'only "tracks" are scaled to a lightness; "{kind}" is not')
     angles = None if angles_deg is None else np.atleast_1d(np.asarray(angles_deg, dtype=float))
+    requested_nm = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
     if kind == "tracks":
         return material_tracks(material, angles, over, wavelengths_nm, illuminant, evaluate, lightness)
     if over is not None:
         return _over_a_number(material, kind, over, angles, wavelengths_nm, illuminant)
     if kind in ("spectrum", "ribbon", "chromaticity"):
         defaults = {"spectrum": SPECTRUM_ANGLES_DEG, "ribbon": RIBBON_ANGLES_DEG, "chromaticity": TRACK_ANGLES_DEG}
-        angles = np.atleast_1d(np.asarray(defaults[kind] if angles_deg is None else angles_deg, dtype=float))
-        requested_nm = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        angles = np.asarray(defaults[kind], dtype=float) if angles is None else angles
         spectrum = colour_spectrum(material, np.radians(angles), illuminant, wavelengths_nm=requested_nm)
         return _over_angles(kind, spectrum, illuminant, material.name)
     if kind in polarisation.FIGURES:
-        requested_nm = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         chosen = np.asarray(polarisation.ANGLES_DEG[kind]) if angles is None else angles
         return polarisation.FIGURES[kind](material.spectrum(np.radians(chosen), requested_nm, "mueller"), material.name)
     if kind in ("slice", "lobe"):
-        bsdf = colour_bsdf(material, illuminant, None if wavelengths_nm is None else np.asarray(wavelengths_nm))
+        bsdf = colour_bsdf(material, illuminant, requested_nm)
         is_walk = any(lobe.is_stochastic for lobe in bsdf.lobes)
-        walk = None
-        if is_walk and evaluate is not None:
-            walk = functools.partial(evaluate, bsdf)
+        walk = functools.partial(evaluate, bsdf) if is_walk and evaluate is not None else None
         if kind == "slice":
             nodes = WALK_NODES if is_walk else SLICE_NODES
             return bsdf_slice_figure(bsdf, illuminant, material.name, nodes, evaluate=walk)
-        angles = np.atleast_1d(np.asarray(LOBE_ANGLES_DEG if angles_deg is None else angles_deg, dtype=float))
+        angles = np.asarray(LOBE_ANGLES_DEG) if angles is None else angles
         return lobe_figure(bsdf, angles, illuminant, material.name, nodes=181 if is_walk else 721, evaluate=walk)
     options: dict[str, Any] = {}
     if wavelengths_nm is not None:
         options["wavelengths_nm"] = wavelengths_nm
     elif kind in COLOURED_DATA and (grid := colour_grid(material, illuminant)) is not None:
         options["wavelengths_nm"] = grid
-    if angles_deg is not None:
-        angles = np.atleast_1d(np.asarray(angles_deg, dtype=float))
+    if angles is not None:
         options.update({"theta_deg": float(angles[0])} if kind == "field" else {"angles_deg": angles})
     return data_figure(kind, _family_data(material, kind, options), illuminant, material.name)
 
@@ -134,22 +131,20 @@ def _over_a_number(
         raise NacreError(f"over {path}: give at least two values")
     default = MAP_ANGLES_DEG if kind == "colour-map" else np.zeros(1)
     angles = default if angles_deg is None else angles_deg
-    if kind in ("spectrum", "ribbon") and (len(angles) != 1 or np.any(np.diff(steps) <= 0)):
+    if kind in CURVE_FIGURES and (len(angles) != 1 or np.any(np.diff(steps) <= 0)):
         raise UnsupportedError(f"a {kind} over a number takes one angle and ascending values; over angles, no number")
     material = material.at_low_fidelity()
     made = [material.vary({path: float(step)}) for step in steps]
     spectra = _common_spectra(made, np.radians(angles), wavelengths_nm, illuminant)
     nm = spectra[0].wavelengths_nm
     label = ".".join(path.split(".")[-2:])
-    if kind in ("spectrum", "ribbon"):
+    if kind in CURVE_FIGURES:
         zero = np.zeros(len(nm))
         names = {name: None for one in spectra for name in one.parts()}
         parts = {name: np.stack([one.parts().get(name, zero[None])[0] for one in spectra]) for name in names}
         at = f"{material.name}, {angles[0]:g}\u00b0"
         spectrum = Spectrum(nm, steps, **parts)
-        if kind == "spectrum":
-            return spectrum_figure(spectrum, illuminant, at, label)
-        return ribbon_figure(spectrum, illuminant, at, label)
+        return CURVE_FIGURES[kind](spectrum, illuminant, at, label)
     values = np.stack(
         [sum((v for name, v in one.parts().items() if name.endswith("reflectance")), 0.0 * nm) for one in spectra]
     )
@@ -171,10 +166,8 @@ def _common_spectra(
 
 
 def _over_angles(kind: str, spectrum: Spectrum, illuminant: str, name: str) -> Figure:
-    if kind == "spectrum":
-        return spectrum_figure(spectrum, illuminant, name)
-    if kind == "ribbon":
-        return ribbon_figure(spectrum, illuminant, name)
+    if kind in CURVE_FIGURES:
+        return CURVE_FIGURES[kind](spectrum, illuminant, name)
     values = next(iter(parts_of(spectrum).values()))
     labels = [f"{angle:.3g}\u00b0" for angle in spectrum.angles_deg]
     return chromaticity_figure(values, spectrum.wavelengths_nm, labels, illuminant, name)

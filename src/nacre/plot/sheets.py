@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
@@ -277,16 +278,12 @@ def picture_figure(sheet: PictureSheet) -> Figure:
         far = max(MIN_SCALE_DE00, float(np.percentile(sheet.distance, 99.0)))
         _scaled(figure, figure.add_subplot(bottom[0]), sheet.distance, "dE00", "magma", 0.0, far)
         axes = figure.add_subplot(bottom[1])
-        _shown(axes, np.where(sheet.is_mapped[..., None], _rgb(OUT), _rgb(IN)), "Out of reach (orange)")
+        _shown(axes, np.where(sheet.is_mapped[..., None], to_rgb(OUT), to_rgb(IN)), "Out of reach (orange)")
         for k, (name, values) in enumerate(sheet.maps):
             low, top_value = float(values.min()), float(values.max())
             _scaled(figure, figure.add_subplot(bottom[2 + k]), values, name, "viridis", low, top_value)
         style.small_print(figure, sheet.note)
     return figure
-
-
-def _rgb(name: str) -> Array:
-    return np.array([int(name[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
 
 
 def _shown(axes: Axes, pixels: Array, title: str) -> None:
