@@ -166,15 +166,15 @@ def compute_ellipsometry(
     return EllipsometricResponse(waves, angles, averaged_mueller(stack, angles, waves, azimuth, used))
 
 
-def specular_stack(material: Material) -> Stack:
-    """Return a material's stack.
+def specular_stack(material: Material, study: str = "ellipsometry") -> Stack:
+    """Return a material's stack, which a study needs.
 
     Raises:
         UnsupportedError: the material lacks one.
     """
     if not isinstance(material.model, SpecularStack):
         noun = material.model.traits.noun
-        raise UnsupportedError(f"{material.context.source}: ellipsometry needs a stack of layers; a {noun} has none")
+        raise UnsupportedError(f"{material.context.source}: {study} needs a stack of layers; a {noun} has none")
     return material.model.specular_stack
 
 

@@ -49,10 +49,7 @@ SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 FLOP_FACTOR, FLOP_POWER, FLOP_BASE = 2.69, 1.11, 0.86  # Alman's flop index
 MIRROR_THRESHOLD = 1e-6
 DARK = 1e-6  # Y of a geometry without light
-APERTURE_WALKS, LEAST_SAMPLES = (
-    1 << 15,
-    64,
-)  # random walks over a gloss meter's aperture, and per node
+APERTURE_WALKS, LEAST_SAMPLES = 1 << 15, 64  # random walks over a gloss meter's aperture, and per node
 
 
 @dataclass(frozen=True)
@@ -194,10 +191,9 @@ def make_report(
     defect = energy_defect(material.model, np.radians([0.0, 45.0]), spectrum.wavelengths_nm, seed)
     if defect is not None:
         parts["energy_defect"] = _luminous(defect, spectrum.wavelengths_nm, *light)
-    totals = {}
-    for name, values in parts.items():
-        for angle, value in zip((0, 45), values, strict=True):
-            totals[f"{name}_{angle}"] = float(value)
+    totals = {
+        f"{name}_{angle}": float(v) for name, pair in parts.items() for angle, v in zip((0, 45), pair, strict=True)
+    }
     flop_lab = colour_table("flop", geometry.ASPECULAR_DEG, np.pi * factor, grid, *geometry.FLOP_LIGHT).lab
     lightness = {a: lab[0] for a, lab in zip(geometry.ASPECULAR_DEG, flop_lab, strict=True)}
     return Report(

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from nacre.analysis.ellipsometry import specular_stack
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.families.contract import SpecularStack
 from nacre.material.material import MaterialLike, as_material
 from nacre.matter.stack.stack import Layer, Stack, index_of
 
@@ -112,10 +112,7 @@ def make_run_sheet(
             raise NacreError(f"{name} = {value:g} should be finite and {rule}")
     if quantity not in QUANTITIES:
         raise NacreError(f'quantity = "{quantity}" is not known; choose one of {", ".join(QUANTITIES)}')
-    if not isinstance(material.model, SpecularStack):
-        noun = material.model.traits.noun
-        raise UnsupportedError(f"{material.context.source}: a run sheet needs a stack of layers; a {noun} has none")
-    stack = material.model.specular_stack
+    stack = specular_stack(material, "a run sheet")
     layers = [(i, layer) for i, layer in enumerate(stack.layers) if layer.thickness_nm > 0]
     if not layers or any(layer.incoherent for _, layer in layers):
         why = "has an incoherent layer" if layers else "has no layers"

@@ -114,7 +114,9 @@ class Store:
             NacreError: the folder cannot be written, or the path holds something else.
         """
         if not path.exists():
-            _create(path, sweep)
+            check_writable(path)
+            with _empty_store(path, sweep) as temporary:
+                os.replace(temporary, path)
         elif not (path / "zarr.json").exists():
             raise NacreError(f"{path}: exists and is not a sweep; choose another -o")
         else:
@@ -237,13 +239,6 @@ def _restore(path: Path, sweep: Sweep) -> None:
             if not is_same:
                 place.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(file, place)
-
-
-def _create(path: Path, sweep: Sweep) -> None:
-    """Create an empty store in a temporary folder beside `path`, then rename it to `path`."""
-    check_writable(path)
-    with _empty_store(path, sweep) as temporary:
-        os.replace(temporary, path)
 
 
 @contextlib.contextmanager

@@ -417,9 +417,7 @@ def _measurement(spec: MeasureSpec, material: Material, source: str) -> Measurem
             raise RecipeError(f'{source}: measure.{key} = "{value}" is not known.{hint} Known: {", ".join(allowed)}')
     if not spec.angles_deg or not all(0 <= a <= 90 for a in spec.angles_deg):
         raise RecipeError(f"{source}: measure.angles_deg must hold angles in [0, 90]")
-    parts = spec.parts
-    if parts is None:
-        parts = list(material.model.traits.default_parts)
+    parts = list(material.model.traits.default_parts) if spec.parts is None else spec.parts
     for part in parts:
         if part not in PARTS:
             hint = did_you_mean(part, PARTS)

@@ -61,15 +61,9 @@ def fit_thin_film(material: Material) -> ThinFilmFit:
             f"{material.context.source}: mask blends materials over the surface; export each by itself, or "
             "use --to three or gltf"
         )
-    spectrum = material.spectrum(np.radians(ANGLES_DEG))
-    reflectance = spectrum.specular_reflectance
-    if reflectance is None or reflectance.max() < 1e-6:
-        raise UnsupportedError(
-            f"{material.context.source}: has no mirror-like reflection, so no thin film represents it"
-        )
-    grid = spectrum.wavelengths_nm
-    target = np.asarray(xyz_to_lab(spectrum_to_xyz(reflectance, grid)))
-    transmits = spectrum.specular_transmittance is not None and float(spectrum.specular_transmittance.max()) > 1e-3
+    grid, reflectance, target = _mirror(material, 1e-6)
+    transmittance = material.spectrum(np.radians(ANGLES_DEG)).specular_transmittance
+    transmits = transmittance is not None and float(transmittance.max()) > 1e-3
     candidates = [_fit_dielectric(target, grid, transmits)]
     if not transmits:  # a transmitting material stays a dielectric, even if a metal matches its reflection better
         candidates.insert(0, _fit_metal(target, reflectance, grid))
@@ -96,10 +90,7 @@ def _fit_share(material: Material, share: float, covering: Material) -> ThinFilm
     """Fit the film of a covered share, with the residual of the whole."""
     fit = fit_thin_film(covering)
     film = dataclasses.replace(fit.film, weight=share)
-    spectrum = material.spectrum(np.radians(ANGLES_DEG))
-    assert spectrum.specular_reflectance is not None
-    grid = spectrum.wavelengths_nm
-    target = xyz_to_lab(spectrum_to_xyz(spectrum.specular_reflectance, grid))
+    grid, _, target = _mirror(material)
     coated, uncovered = (
         np.asarray(lab_to_xyz(film_lab(f, grid))) for f in (film, dataclasses.replace(film, thickness_nm=0.0))
     )
@@ -112,16 +103,11 @@ def film_lab(film: ThinFilm, wavelengths_nm: Array) -> Array:
     if not film.is_metal:
         values = _reflectance(film.film_ior, film.thickness_nm, np.array(film.base_ior), wavelengths_nm)
         return np.asarray(xyz_to_lab(spectrum_to_xyz(values, wavelengths_nm)))
-    bases = np.array([_base_index(f0) for f0 in film.base_rgb])
+    root = np.sqrt(np.clip(film.base_rgb, 0.0, MAX_F0))
+    bases = (1 + root) / (1 - root)  # real indices with these normal reflectances, which glTF renderers use for metals
     values = _reflectance(film.film_ior, film.thickness_nm, bases, wavelengths_nm)
     rgb = np.diagonal(xyz_to_srgb_linear(spectrum_to_xyz(values, wavelengths_nm)), axis1=0, axis2=2)
     return np.asarray(xyz_to_lab(srgb_linear_to_xyz(rgb)))
-
-
-def _base_index(f0: float) -> float:
-    """Return the real index with normal reflectance f0, which glTF renderers use for metals."""
-    root = np.sqrt(min(max(f0, 0.0), MAX_F0))
-    return float((1 + root) / (1 - root))
 
 
 def _reflectance(n_film: float, thickness_nm: float, n_base: Array, wavelengths_nm: Array) -> Array:
@@ -264,13 +250,13 @@ def fit_thickness_map(material: Material, axis: ParameterAxis) -> ThicknessMapFi
     """
     low, high = float(axis.values[0]), float(axis.values[-1])
     values = np.linspace(low, high, VALUES)
-    targets = np.stack([_lab(material.vary({axis.name: float(value)})) for value in values])
+    targets = np.stack([_mirror(material.vary({axis.name: float(value)}))[2] for value in values])
     fits = [fit_thin_film(material.vary({axis.name: low + (high - low) * part})) for part in FITTED]
     grid = np.linspace(400.0, 700.0, BANDS)
     best: tuple[float, ThinFilmFit, Array, Array] | None = None
     for fit in fits:
         thicknesses = np.arange(0.0, THICKEST_NM, STEP_NM)
-        labs = np.stack([film_lab(_with(fit.film, d), grid) for d in thicknesses])
+        labs = np.stack([film_lab(dataclasses.replace(fit.film, thickness_nm=float(d)), grid) for d in thicknesses])
         cost = np.asarray(delta_e_2000(labs[None], targets[:, None])).mean(axis=-1)
         path = _path(cost)
         residual = cost[np.arange(VALUES), path]
@@ -286,18 +272,15 @@ def fit_thickness_map(material: Material, axis: ParameterAxis) -> ThicknessMapFi
     return ThicknessMapFit(fit, thickness, values, residual, float(np.interp(image, unit, residual).mean()))
 
 
-def _with(film: ThinFilm, thickness_nm: float) -> ThinFilm:
-    return dataclasses.replace(film, thickness_nm=float(thickness_nm))
-
-
-def _lab(material: Material) -> Array:
+def _mirror(material: Material, least: float = 0.0) -> tuple[Array, Array, Array]:
+    """Return wavelengths, specular reflectance `[angle, wavelength]` and CIELAB at `ANGLES_DEG`."""
     spectrum = material.spectrum(np.radians(ANGLES_DEG))
-    reflectance = spectrum.specular_reflectance
-    if reflectance is None:
+    reflectance, grid = spectrum.specular_reflectance, spectrum.wavelengths_nm
+    if reflectance is None or reflectance.max() < least:
         raise UnsupportedError(
             f"{material.context.source}: has no mirror-like reflection, so no thin film represents it"
         )
-    return np.asarray(xyz_to_lab(spectrum_to_xyz(reflectance, spectrum.wavelengths_nm)))
+    return grid, reflectance, np.asarray(xyz_to_lab(spectrum_to_xyz(reflectance, grid)))
 
 
 def _path(cost: Array) -> Array:

@@ -4,6 +4,7 @@ import ast
 import operator
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
 from nacre.core.errors import NacreError, RecipeError
@@ -176,13 +177,9 @@ def _ordered(parsed: Mapping[str, ast.expr], source: str) -> dict[str, ast.expr]
     Raises:
         RecipeError: the ties form a ring.
     """
-    ordered: dict[str, ast.expr] = {}
-    remaining = dict(parsed)
-    while remaining:
-        ready = [path for path, expression in remaining.items() if not _paths(expression) & set(remaining)]
-        if not ready:
-            ring = " -> ".join([*remaining, next(iter(remaining))])
-            raise RecipeError(f"{source}: ties: {ring} form a ring; remove one of them")
-        for path in ready:
-            ordered[path] = remaining.pop(path)
-    return ordered
+    graph = {path: sorted(_paths(expression) & set(parsed)) for path, expression in parsed.items()}
+    try:
+        return {path: parsed[path] for path in TopologicalSorter(graph).static_order()}
+    except CycleError as error:
+        ring = " -> ".join(error.args[1])
+        raise RecipeError(f"{source}: ties: {ring} form a ring; remove one of them") from None

@@ -245,10 +245,8 @@ WIDTH_IN, HEIGHT_IN = 7.2, 2.7
 GLOSS_HALF_DEG = 4.0  # outside a clear coat's reflection, within the flakes' lobe
 GLOSS_DEG = np.arange(5.0, 71.0, 5.0)
 RADIAL_DEG = np.arange(15.0, 51.0, 5.0)  # half angle = difference angle: away from the mirror direction
-STEP_GLOSS_DEG, STEP_DIFFUSE_DEG = (
-    (GLOSS_HALF_DEG, 10.0),
-    (40.0, 10.0),
-)  # half and difference angle, for tracks over a parameter
+# half and difference angle, for tracks over a parameter
+STEP_GLOSS_DEG, STEP_DIFFUSE_DEG = (GLOSS_HALF_DEG, 10.0), (40.0, 10.0)
 MIDDLE_GREY = 0.1842  # luminance of L* = 50
 DARK = 1e-9  # smallest luminance with a defined colour
 

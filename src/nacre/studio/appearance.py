@@ -688,9 +688,8 @@ def angle_tables(recipe: Mapping[str, str], lamp: str, is_fine: bool) -> dict[st
 
 def _colours(material: Material, geometries: list[Geometry], lamp: str) -> Array:
     grid, model = search_wavelengths(material, [lamp]), material.model
-    is_quick = model.traits.is_quick and not mixes_polarisations(
-        material
-    )  # mixed polarisations need angle tables, which take seconds
+    # mixed polarisations need angle tables, which take seconds
+    is_quick = model.traits.is_quick and not mixes_polarisations(material)
     factors = None if is_quick else surrogate_factors(material, geometries, grid)
     is_accurate = isinstance(model, Surrogate) and model.surrogate_error is not None
     if factors is not None and (is_accurate or not np.any(factors[1])):  # exact, or with a small error
