@@ -401,7 +401,7 @@ def _import_bsdf(source: Path, options: ReadOptions, law: str | None) -> tuple[T
     lobe, law_remarks = measured_lobes.measured_table(data, str(source), law)
     lobe, more = measured_lobes.with_spectra(lobe, table)
     left = [f"{m.metadata.get('scatter', 'part')} {m.name}: not imported" for m in measured if m is not table]
-    remarks = [line for line in remarks if not line.endswith("are kept")]  # `said` states their treatment
+    remarks = [line for line in remarks if not line.endswith("are kept")]  # `law_remarks` state their treatment
     return lobe, [*remarks, *law_remarks, *more, *left]
 
 

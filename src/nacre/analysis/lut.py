@@ -315,9 +315,13 @@ def _mirrors(bsdf: Bsdf, steady: Bsdf | None, powers: Array, to_rgb: ToRgb) -> l
     glossy = find_gloss(bsdf, theta, powers)
     if glossy is None:
         return []
-    closure = ClosureLoss("ggx", (glossy.alpha, glossy.alpha))
-    returned = np.array([closure.kept(direction(t, 0.0))[0] for t in theta])
-    return [Gloss(glossy.alpha, to_rgb(glossy.reflectance) / np.maximum(returned, 0.05)[:, None])]
+    return [Gloss(glossy.alpha, to_rgb(glossy.reflectance) / np.maximum(_returned(glossy.alpha, theta), 0.05)[:, None])]
+
+
+def _returned(alpha: float, theta_rad: Array) -> Array:
+    """Return the shares `[angle]` of light that a white rough mirror of engines reflects."""
+    closure = ClosureLoss("ggx", (alpha, alpha))
+    return np.array([closure.kept(w)[0] for w in direction(theta_rad, 0.0)])
 
 
 def _powers(bsdf: Bsdf, directions: Array) -> Array:
@@ -339,9 +343,7 @@ def make_scatter(material: Any, bsdf: Bsdf, to_rgb: ToRgb, progress: Progress) -
     steady = _noiseless(material, bsdf) if any(lobe.is_stochastic for lobe in bsdf.lobes) else bsdf
     spread, glossy = to_rgb(powers[0]), []
     for gloss in _mirrors(bsdf, steady, powers[0], to_rgb):
-        closure = ClosureLoss("ggx", (gloss.alpha, gloss.alpha))
-        returned = np.array([closure.kept(direction(t, 0.0))[0] for t in np.radians(VIEW_DEG)])
-        spread = spread - gloss.reflectance * returned[:, None]
+        spread = spread - gloss.reflectance * _returned(gloss.alpha, np.radians(VIEW_DEG))[:, None]
         glossy.append((gloss.alpha, _smooth(gloss.reflectance)))
     sides: tuple[Array | None, Array | None] = (None, None)
     if bsdf.transmits:
@@ -714,8 +716,7 @@ def _scatter_errors(bsdf: Bsdf, scatter: Scatter, to_rgb: Callable[[Array], Arra
     x = lut.angle_coordinate(np.cos(theta))
 
     def glossy(alpha: float, colours: Array) -> Array:
-        returned = np.array([ClosureLoss("ggx", (alpha, alpha)).kept(w)[0] for w in direction(theta, 0.0)])
-        return np.asarray(view_picture(colours).at(x, 0.0 * x) * returned[:, None])
+        return np.asarray(view_picture(colours).at(x, 0.0 * x) * _returned(alpha, theta)[:, None])
 
     def even(picture: Picture) -> Array:
         return np.asarray(sum((glossy(*part) for part in scatter.gloss), picture.at(x, 0.0 * x)))

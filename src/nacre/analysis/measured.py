@@ -218,7 +218,8 @@ def _series(
     if rows is None and not one and np.any(np.abs(angle) > 1e-9):
         remarks.append("no polarisation is stated: unpolarised light is assumed")
     polarisations = np.array(rows if rows is not None else [one or "unpolarised"] * len(nm))
-    mode = _mode(str(table.metadata.get("mode", "")))
+    words = str(table.metadata.get("mode", "")).lower()
+    mode = next((mode for mode in ("diffuse", "total", "specular") if mode in words), "")
     series = []
     for quantity in ("reflectance", "transmittance"):
         if quantity not in table.data:
@@ -243,11 +244,6 @@ def _series(
     unused = [name for name in table.data if name in ("absorptance", "absorbance", "albedo") or name.endswith("counts")]
     remarks += [f"{name} is not used" for name in unused if series]
     return series
-
-
-def _mode(stated: str) -> str:
-    words = stated.lower()
-    return next((mode for mode in ("diffuse", "total", "specular") if mode in words), "")
 
 
 def _on_grid(
