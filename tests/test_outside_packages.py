@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.bsdf.registry import LOBES, LobeEntry, lobe_kinds, outside_lobe
+from nacre.bsdf.registry import GROUP, LOBES, LobeEntry, outside_lobe
 from nacre.core import lazy
 from nacre.core.errors import NacreError
 from nacre.families.registry import FAMILIES, family_names, family_spec
 
 OUTSIDE_FAMILIES = [name for name in family_names() if name not in FAMILIES]
-OUTSIDE_LOBES = [kind for kind in lobe_kinds() if kind not in LOBES]
+OUTSIDE_LOBES = list(lazy.entry_points(GROUP, LOBES))
 
 
 def test_the_toy_package_is_found() -> None:

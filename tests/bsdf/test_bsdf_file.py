@@ -225,7 +225,7 @@ def test_the_harmonic_lobe_accepts_read_only_tables_beside_writable_ones() -> No
     above = np.random.default_rng(1).random((3, 2, 3)).astype(np.float32)
     empty = np.zeros((0, 2, 3), np.float32)
     ones = np.ones(3)
-    lobe = Harmonic(waves, above, empty, empty, empty, empty, empty, 2, 0, 0, 1.0, ones, ones, 0.1, np.ones(4))
+    lobe = Harmonic(waves, 2, 0, 0, 1.0, ones, ones, 0.1, np.ones(4), above, empty, empty, empty, empty, empty)
     wi, wo = np.array([0.3, 0.1, 0.9]), np.array([-0.2, 0.4, 0.8])
     wi, wo = wi / np.linalg.norm(wi), wo / np.linalg.norm(wo)
     expected = lobe.evaluate(wi, wo)

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from helpers_glass import CASES, effective_index, plain_spheres, reference, spheres
 
+from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.families.glass.composite import bruggeman, maxwell_garnett
-from nacre.families.glass.medium import mixture_power, percus_yevick, phase_quantiles, solve_medium
+from nacre.families.glass.medium import Medium, mixture_power, percus_yevick, phase_quantiles, solve_medium
 
 MONODISPERSE = [case for case in CASES if case != 12]
 POLYDISPERSE = 12
@@ -113,25 +114,29 @@ def test_the_medium_is_that_of_the_reference_converged(case: int) -> None:
     np.testing.assert_allclose(medium.asymmetry, data["g"][case], atol=2e-4)
 
 
+def transport_per_nm(medium: Medium) -> Array:
+    return np.asarray(medium.scattering * (1.0 - medium.asymmetry))
+
+
 def test_lengths_of_the_note_are_met_converged() -> None:
     found = solve_medium(plain_spheres(120, 1.59, 1.0, 0.5, [500, 650]))
-    np.testing.assert_allclose(found.scattering_length_nm[0], 10850.224, rtol=1e-6)
-    np.testing.assert_allclose(found.transport_length_nm[0], 10513.423, rtol=1e-6)
+    np.testing.assert_allclose(1.0 / found.scattering[0], 10850.224, rtol=1e-6)
+    np.testing.assert_allclose(transport_per_nm(found)[0], 1.0 / 10513.423, rtol=1e-6)
     lossy = solve_medium(plain_spheres(120, 1.59, 1 + 0.01j, 0.5, [500]))
-    np.testing.assert_allclose(lossy.scattering_length_nm, 11044.731, rtol=1e-4)
+    np.testing.assert_allclose(1.0 / lossy.scattering, 11044.731, rtol=1e-4)
     np.testing.assert_allclose(lossy.absorption, 1.358346e-4, rtol=1e-6)
 
 
 @pytest.mark.parametrize("spread", TRANSPORT_UM)
 def test_transport_lengths_of_many_sizes_are_those_of_the_mixture(spread: float) -> None:
     found = solve_medium(plain_spheres(120, 1.59, 1.0, 0.5, [400, 500, 650], spread * 120))
-    np.testing.assert_allclose(found.transport_length_nm * 1e-3, TRANSPORT_UM[spread], rtol=1e-3)
+    np.testing.assert_allclose(1e-3 / transport_per_nm(found), TRANSPORT_UM[spread], rtol=1e-3)
 
 
 def test_scattering_of_many_sizes_is_that_of_the_reference() -> None:
     data, medium = reference(), solve_medium(spheres(POLYDISPERSE))
     expected = data["mu_s_partial"][POLYDISPERSE] * (1 - data["g_partial"][POLYDISPERSE])
-    np.testing.assert_allclose(1e3 / medium.transport_length_nm, expected, rtol=1e-3)
+    np.testing.assert_allclose(1e3 * transport_per_nm(medium), expected, rtol=1e-3)
 
 
 def test_tables_for_drawing_keep_norm_and_asymmetry() -> None:

@@ -19,10 +19,11 @@ from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.interface import AlignedMicrofacet, Diffuse, Microfacet, Specular
 from nacre.bsdf.lobes.ridge import Ridge, RidgeTable
 from nacre.bsdf.lobes.table import TableLobe, directions_of
-from nacre.bsdf.registry import LOBES, lobe_kinds, outside_lobe
+from nacre.bsdf.registry import GROUP, LOBES, outside_lobe
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import StackTables
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
+from nacre.core.lazy import entry_points
 
 pytestmark = pytest.mark.render
 
@@ -232,7 +233,7 @@ CASES: dict[str, Case] = {
     "film over a base": Case(lambda: (Specular(stack(*GLASS, False)), under_film()), ((30.0, 0.0),)),
 }
 # lobes of other packages bring a sample of their own
-OUTSIDE = {kind: outside_lobe(kind) for kind in lobe_kinds() if kind not in LOBES}
+OUTSIDE = {kind: outside_lobe(kind) for kind in entry_points(GROUP, LOBES)}
 CASES |= {kind: Case(lambda entry=entry: (entry.sample(),)) for kind, entry in OUTSIDE.items()}
 CONTINUOUS = [name for name, case in CASES.items() if case.is_continuous]
 CHI_SQUARES = [(name, view) for name in CONTINUOUS for view in CASES[name].views_deg]

@@ -122,12 +122,6 @@ def _write_entry(zipped: zipfile.ZipFile, name: str, content: bytes) -> None:
     zipped.writestr(entry, content)
 
 
-def _type_name(value: Any) -> str | None:
-    if isinstance(value, Lobe):
-        return value.kind
-    return next((name for name, cls in _PARTS.items() if type(value) is cls), None)
-
-
 def _encode(value: Any, where: str, arrays: dict[str, NDArray[Any]], axes: dict[str, str], path: str) -> Any:
     if value is None or isinstance(value, bool | str):
         return value
@@ -148,7 +142,8 @@ def _encode(value: Any, where: str, arrays: dict[str, NDArray[Any]], axes: dict[
         return {"array": where}
     if isinstance(value, tuple):
         return {"tuple": [_encode(v, f"{where}.{i}", arrays, axes, path) for i, v in enumerate(value)]}
-    name = _type_name(value)
+    own = (name for name, cls in _PARTS.items() if type(value) is cls)
+    name = value.kind if isinstance(value, Lobe) else next(own, None)
     if name is None:
         raise NacreError(f"{path}: {where} is a {type(value).__name__}, which cannot be stored")
     fields = {}

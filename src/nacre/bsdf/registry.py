@@ -49,11 +49,6 @@ class LobeEntry:
     sample: Callable[[], Lobe]
 
 
-def lobe_kinds() -> tuple[str, ...]:
-    """Return all kinds, with other packages last."""
-    return (*LOBES, *entry_points(GROUP, LOBES))
-
-
 def lobe_class(kind: str) -> type[Lobe]:
     """Return the class of a lobe kind, importing its module.
 

@@ -119,6 +119,7 @@ SURFACE = ("u", "v")
 # position on a rendered object, from its bounding sphere's centre, in sphere radii, z up
 PLACE = ("x", "y", "z")
 _CONSTANTS = {"pi": math.pi, "e": math.e}
+DEGREE = math.pi / 180.0
 _BINARY: dict[type, str] = {ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.Div: "div", ast.Pow: "pow"}
 _FUNCTIONS = {
     "sin": 1, "cos": 1, "tan": 1, "exp": 1, "log": 1, "sqrt": 1, "abs": 1, "floor": 1,
@@ -323,6 +324,18 @@ class Texture:
         with np.errstate(all="ignore"):
             value = np.broadcast_to(np.asarray(self.formula(u, v, place=place), dtype=float), u.shape)
         return np.clip(np.nan_to_num(value, nan=self.low, posinf=self.high, neginf=self.low), self.low, self.high)
+
+
+def angle_texture(angle_deg: float | Texture) -> Texture | None:
+    """Return an angle in degrees, constant or varying, as a texture in rad, or None for zero."""
+    if not isinstance(angle_deg, Texture):
+        value = angle_deg * DEGREE
+        return Texture(value, value, formula=parse_formula(repr(value))) if value else None
+    formula = angle_deg.formula
+    if formula is not None:
+        scaled = parse_formula(f"({formula.text})*{DEGREE!r}")
+        formula = dataclasses.replace(scaled, written=formula.written)
+    return dataclasses.replace(angle_deg, low=angle_deg.low * DEGREE, high=angle_deg.high * DEGREE, formula=formula)
 
 
 def _stepped(image: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -121,6 +121,15 @@ def interpolate(table: NDArray[np.floating], coordinates: tuple[ArrayLike, ...])
     return total
 
 
+def barycentric_matrix(nodes: Array, weights: Array, points: Array) -> Array:
+    """Return the matrix `[point, node]` of polynomial interpolation with barycentric weights (Berrut, Trefethen)."""
+    gap = points[:, None] - nodes
+    is_node = np.abs(gap) < 1e-14
+    terms = weights / np.where(is_node, 1.0, gap)
+    matrix = terms / terms.sum(axis=1, keepdims=True)
+    return np.where(is_node.any(axis=1, keepdims=True), is_node.astype(float), matrix)
+
+
 EIGENVALUE_NODES = 100  # numpy solves a dense eigenvalue problem, a quarter of a second for 850 nodes
 
 

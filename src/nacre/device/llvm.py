@@ -121,7 +121,8 @@ def use_llvm() -> Probe | None:
     If drjit is already imported, its choice is fixed and is tested instead.
     """
     if "drjit" in sys.modules:
-        return _test_loaded()
+        loaded = probe_library(os.environ.get(ENVIRONMENT_VARIABLE, ""))
+        return loaded if loaded.works else None
     found, _ = find_llvm()
     if found is not None and found.path:
         os.environ[ENVIRONMENT_VARIABLE] = found.path
@@ -186,13 +187,6 @@ def _missing_library(paths: list[str]) -> str | None:
     done = subprocess.run([sys.executable, "-c", script, *paths], capture_output=True, text=True)
     match = re.search(r"OSError: (\S+): cannot open shared object file", done.stderr)
     return os.path.basename(match.group(1)) if done.returncode and match else None
-
-
-def _test_loaded() -> Probe | None:
-    """Test the LLVM that drjit loaded before nacre could choose one."""
-    path = os.environ.get(ENVIRONMENT_VARIABLE, "")
-    probe = probe_library(path)
-    return probe if probe.works else None
 
 
 def candidates() -> list[str]:

@@ -60,10 +60,8 @@ class LobeSum:
         self.words = [word | back for plugin in self.plugins for word in plugin.components]
         self._all_flags = int(mi.BSDFFlags.All)
         self._delta_flags = int(mi.BSDFFlags.Delta | mi.BSDFFlags.Null)
-        self.delta = [all(self._is_delta(word) for word in plugin.components) for plugin in self.plugins]
-
-    def _is_delta(self, word: int) -> bool:
-        return word & self._delta_flags == word & self._all_flags
+        others = self._all_flags & ~self._delta_flags
+        self.delta = [not any(word & others for word in plugin.components) for plugin in self.plugins]
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any) -> Any:
         front, turned = self._front(si)

@@ -143,10 +143,12 @@ def _combine(wi, wo, smooth, bare, grid, spectrum, out):
         out[l] = scale * (max(smooth[l], 0.0) * factor + max(bare[l], 0.0))
 
 
+@dataclass(frozen=True)
 class MonolayerLobe(Lobe):
     """Diffuse light of a monolayer, tabulated over the polar angles of both directions.
 
     Attributes:
+        wavelengths_nm: `[wavelength]`, ascending.
         count_above, count_below, count_beyond: `PolarGrid` nodes above and below; 0 below an opaque surface.
         eta: substrate index over the ambient's, one number, as for the specular lobe.
         wavenumbers: `[wavelength]`, the ambient's k, 1/nm.
@@ -155,6 +157,7 @@ class MonolayerLobe(Lobe):
         structure: `[q]`, the structure factor; 1 beyond the table.
     """
 
+    wavelengths_nm: Array
     count_above: int
     count_below: int
     count_beyond: int
@@ -163,6 +166,13 @@ class MonolayerLobe(Lobe):
     index_below: Array
     q_step: float
     structure: Array
+
+    AXES: ClassVar[dict[str, str]] = {
+        "wavelengths_nm": "wavelength",
+        "wavenumbers": "wavelength",
+        "index_below": "wavelength",
+        "structure": "q",
+    }
 
     @property
     def transmits(self) -> bool:
@@ -270,37 +280,23 @@ class Harmonic(MonolayerLobe):
     hold the light without the factor S (from the particle size distribution); empty for equal particles.
 
     Attributes:
-        wavelengths_nm: `[wavelength]`, ascending.
         above, below, across: `[pair, harmonic, wavelength]`, 1/sr.
         above_free, below_free, across_free: the same, or empty.
         the others: see `MonolayerLobe`.
     """
 
     kind: ClassVar[str] = "harmonic"
-    wavelengths_nm: Array
     above: SingleArray
     below: SingleArray
     across: SingleArray
     above_free: SingleArray
     below_free: SingleArray
     across_free: SingleArray
-    count_above: int
-    count_below: int
-    count_beyond: int
-    eta: float
-    wavenumbers: Array
-    index_below: Array
-    q_step: float
-    structure: Array
 
-    AXES: ClassVar[dict[str, str]] = {
-        "wavelengths_nm": "wavelength",
+    AXES: ClassVar[dict[str, str]] = MonolayerLobe.AXES | {
         "above": "pair harmonic wavelength",
         "below": "pair harmonic wavelength",
         "across": "pair harmonic wavelength",
-        "wavenumbers": "wavelength",
-        "index_below": "wavelength",
-        "structure": "q",
     }
 
     def check(self) -> None:
@@ -379,7 +375,6 @@ class Aligned(MonolayerLobe):
     """Diffuse reflection, and transmission with nodes below, of a monolayer of aligned particles.
 
     Attributes:
-        wavelengths_nm: `[wavelength]`, ascending.
         table: `[pair, term, wavelength]`, f / n_o^2 in 1/sr; row a (a + 1)/2 + b for nodes a >= b, nodes below
             after those above.
         orders: `[term, 3]`: integers a_t, b_t for the azimuths at the nodes a and b, and 0 (cosine) or 1 (sine).
@@ -388,27 +383,11 @@ class Aligned(MonolayerLobe):
     """
 
     kind: ClassVar[str] = "aligned"
-    wavelengths_nm: Array
     table: SingleArray
     orders: Array
-    count_above: int
-    count_below: int
-    count_beyond: int
-    eta: float
     rotation: float
-    wavenumbers: Array
-    index_below: Array
-    q_step: float
-    structure: Array
 
-    AXES: ClassVar[dict[str, str]] = {
-        "wavelengths_nm": "wavelength",
-        "table": "pair term wavelength",
-        "orders": "term order",
-        "wavenumbers": "wavelength",
-        "index_below": "wavelength",
-        "structure": "q",
-    }
+    AXES: ClassVar[dict[str, str]] = MonolayerLobe.AXES | {"table": "pair term wavelength", "orders": "term order"}
 
     def check(self) -> None:
         """Check that the tables are consistent.

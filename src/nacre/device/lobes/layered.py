@@ -122,7 +122,7 @@ class LayeredPlugin(LobePlugin):
 
     def _density(self, si: Any, wo: Any, active: Any) -> Any:
         """Return the proxy density times the confidence factor, mixed with the base lobes' own refracted density."""
-        density = self.proxy.weighted_density(si.wi, wo)
+        density = self.proxy.confidence * self.proxy.density(si.wi, wo)
         lobes = self.strata.lobes
         if lobes is None or not lobes.scatters:
             return density
@@ -193,10 +193,6 @@ class Proxy:
             tilt = np.array([0.0, 0.0, 1.0])
         tilt = tilt / np.linalg.norm(tilt)
         self.tilt = mi.Vector3f(*[opaque(float(x)) for x in tilt])
-
-    def weighted_density(self, wi: Any, wo: Any) -> Any:
-        """Return the density times the confidence factor, for multiple importance sampling."""
-        return self.confidence * self.density(wi, wo)
 
     def density(self, wi: Any, wo: Any) -> Any:
         """Return the density at `wo`, 1/sr."""

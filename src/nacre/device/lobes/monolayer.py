@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.lobes.monolayer import DARKEST, PACKET, SHARED, WORD, Aligned, Harmonic, MonolayerLobe, encode
-from nacre.core.arrays import Array, SingleArray, direction
+from nacre.core.arrays import Array, SingleArray, direction, rotation_about_z
 from nacre.core.errors import UnsupportedError
 from nacre.device import plugin
 from nacre.device.tables import WavelengthAxis
@@ -132,9 +132,12 @@ class MonolayerPlugin(plugin.LobePlugin[AnyMonolayer]):
     def _set_tables(self, lobe: AnyMonolayer) -> None:
         """Copy the series to the device."""
 
-    @abc.abstractmethod
     def _thinned(self, lobe: AnyMonolayer) -> AnyMonolayer:
         """Return the lobe at about a dozen wavelengths, enough for sampling."""
+        step = max(1, len(lobe.wavelengths_nm) // 12)
+        names = (*self.tables, "wavelengths_nm", "wavenumbers", "index_below")
+        thinned = {name: np.ascontiguousarray(getattr(lobe, name)[..., ::step]) for name in names}
+        return dataclasses.replace(lobe, **thinned)
 
     @abc.abstractmethod
     def _pair(self, light: Any, eye: Any, sines: tuple[Any, Any], places: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -405,9 +408,6 @@ class HarmonicPlugin(MonolayerPlugin[Harmonic]):
             free = _one_triangle(lobe.above_free, lobe.below_free, lobe.across_free)
             self.free = PackedSeries(free, self.packets)
 
-    def _thinned(self, lobe: Harmonic) -> Harmonic:
-        return dataclasses.replace(lobe, **thinned_rows(lobe, self.tables))
-
     def _pair(self, light: Any, eye: Any, sines: tuple[Any, Any], places: tuple[Any, ...]) -> tuple[Any, ...]:
         low_l, part_l, low_e, part_e = places
         size = sines[0] * sines[1]
@@ -500,13 +500,6 @@ def _word(words: Any, index: Any, active: Any) -> Any:
     return int(words[int(index)]) if active else 0
 
 
-def thinned_rows(lobe: Any, tables: tuple[str, ...]) -> dict[str, Any]:
-    """Return a lobe's tables and spectral data at about a dozen wavelengths."""
-    step = max(1, len(lobe.wavelengths_nm) // 12)
-    names = (*tables, "wavelengths_nm", "wavenumbers", "index_below")
-    return {name: np.ascontiguousarray(getattr(lobe, name)[..., ::step]) for name in names}
-
-
 TURNS = 8  # light azimuths in the average for the exit table
 
 
@@ -523,15 +516,11 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         self.values = PackedSeries(lobe.table, self.packets)
         self.cos_turn, self.sin_turn = plugin.opaque(math.cos(lobe.rotation)), plugin.opaque(math.sin(lobe.rotation))
 
-    def _thinned(self, lobe: Aligned) -> Aligned:
-        return dataclasses.replace(lobe, **thinned_rows(lobe, self.tables))
-
     def _mean(self, lobe: Aligned, light: Array, eye: Array) -> Array:
         """Return f averaged over wavelengths, rotations and mirror images, `[...]`, for directions `[..., 3]`."""
         total = np.zeros(light.shape[:-1])
         for turn in np.arange(TURNS) * (2 * math.pi / TURNS):
-            cos, sin = math.cos(turn), math.sin(turn)
-            about = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+            about = rotation_about_z(turn)
             for mirror in ([1.0, 1.0, 1.0], [1.0, -1.0, 1.0]):
                 total += lobe.evaluate(light * mirror @ about.T, eye * mirror @ about.T).mean(axis=-1)
         return total / (2 * TURNS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +14,7 @@ from pydantic import Field
 
 from nacre.bsdf.facet_distributions import Roughness, alpha_from_exponent, check_widths
 from nacre.bsdf.tabulate import SLICE_SHARE, reflected_lab
-from nacre.bsdf.texture import NumberOrTexture, Texture, TextureSpec, parse_formula, texture_or_number
+from nacre.bsdf.texture import NumberOrTexture, Texture, TextureSpec, angle_texture, texture_or_number
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Fabricable, Figure
@@ -278,7 +277,7 @@ class SurfaceSpec(RecipeModel):
             alpha_x=widths[0],
             alpha_y=widths[-1],
             alpha_texture=texture,
-            rotation=angle_texture(self.rotation_deg, context, "surface.rotation_deg"),
+            rotation=_rotation(self.rotation_deg, context, "surface.rotation_deg"),
             compensate=self.compensate,
         )
 
@@ -348,7 +347,7 @@ class RidgesSpec(RecipeModel):
 
     def build(self, context: RecipeContext) -> Ridges:
         """Return the ridges."""
-        rotation = angle_texture(self.rotation_deg, context, "ridges.rotation_deg")
+        rotation = _rotation(self.rotation_deg, context, "ridges.rotation_deg")
         return Ridges(rotation=rotation, **self.model_dump(exclude={"rotation_deg"}))
 
 
@@ -513,19 +512,8 @@ def _plain_layers(layers: tuple[Any, ...], path: str = "layers") -> Iterator[tup
             yield from _plain_layers(layer.layers, f"{path}[{i}].layers")
 
 
-def angle_texture(value: float | TextureSpec, context: RecipeContext, key: str) -> Texture | None:
-    """Return an angle in degrees, constant or varying, as a texture in rad, or None for zero."""
-    degree = 0.017453292519943295
-    if isinstance(value, TextureSpec):
-        made = value.build(context, key)
-        if made.formula is not None:
-            scaled = parse_formula(f"({made.formula.text})*{degree!r}")
-            scaled = dataclasses.replace(scaled, written=made.formula.written)
-            return Texture(made.low * degree, made.high * degree, formula=scaled)
-        return Texture(made.low * degree, made.high * degree, image=made.image, is_stepped=made.is_stepped)
-    if value == 0.0:
-        return None
-    return Texture(value * degree, value * degree, formula=parse_formula(repr(value * degree)))
+def _rotation(value: float | TextureSpec, context: RecipeContext, key: str) -> Texture | None:
+    return angle_texture(value.build(context, key) if isinstance(value, TextureSpec) else value)
 
 
 COLUMNS = (

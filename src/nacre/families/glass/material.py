@@ -276,7 +276,8 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         layers = self.layers
         media = [_solved(layer.composite, tuple(lam.tolist())) for layer in layers]
         if is_in_air and len(layers) == 1 and self.base.kind == "diffuse":
-            media = [self._for_one_index(tuple(lam.tolist()))]
+            albedo = tuple(self._albedo(lam).tolist())
+            media = [_one_index_medium(self.composite, self.thickness_nm, albedo, tuple(lam.tolist()))]
         index = np.array([layer.composite.walk_index for layer in layers])
         faces = [*(layer.surface for layer in layers), self.base.surface]
         depths = [
@@ -304,10 +305,6 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         )
         lobe.check()
         return self.base.continued(lobe)
-
-    def _for_one_index(self, wavelengths_nm: tuple[float, ...]) -> Medium:
-        albedo = self._albedo(np.array(wavelengths_nm))
-        return _one_index_medium(self.composite, self.thickness_nm, tuple(albedo.tolist()), wavelengths_nm)
 
     def strata_at(self, wavelengths_nm: Array) -> Layered:
         """Return the layered lobe."""

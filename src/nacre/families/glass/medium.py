@@ -10,12 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.core.arrays import Array, ComplexArray
+from nacre.core.arrays import Array, ComplexArray, gauss_legendre
 from nacre.matter.mie import default_order, mie_amplitudes, mie_coefficients
 
 GAUSS_NODES = 128  # quadrature nodes over the scattering cosine
@@ -115,16 +114,6 @@ class Medium:
         """Extinction coefficient in 1/nm."""
         return self.scattering + self.absorption
 
-    @property
-    def scattering_length_nm(self) -> Array:
-        """Scattering mean free path."""
-        return np.asarray(1.0 / self.scattering)
-
-    @property
-    def transport_length_nm(self) -> Array:
-        """Transport mean free path."""
-        return np.asarray(1.0 / (self.scattering * (1.0 - self.asymmetry)))
-
     def at(self, bands: NDArray[np.intp]) -> Medium:
         """Return the medium at some of its wavelengths."""
         return Medium(**{field.name: getattr(self, field.name)[bands] for field in fields(self)})
@@ -143,7 +132,7 @@ def solve_medium(spheres: Spheres, moments: int = 48) -> Medium:
         spheres: in their effective medium.
         moments: number of Legendre moments.
     """
-    cosines, weights = gauss_rule(GAUSS_NODES)
+    cosines, weights = gauss_legendre(GAUSS_NODES)
     nodes = np.linspace(-1.0, 1.0, PHASE_NODES)
     light = spheres.cross_section(np.concatenate([cosines, nodes]))
     gauss, table = light[:, :GAUSS_NODES], light[:, GAUSS_NODES:]
@@ -179,14 +168,6 @@ def phase_quantiles(phase: Array, count: int = QUANTILE_NODES) -> Array:
         reach = np.sqrt(np.maximum(left**2 + 2 * slope * rest, 0.0)) + left
         out[where] = np.clip(nodes[i] + np.where(reach > 0, 2 * rest / np.where(reach > 0, reach, 1.0), 0.0), -1, 1)
     return out
-
-
-@lru_cache(maxsize=16)
-def gauss_rule(count: int) -> tuple[Array, Array]:
-    """Return the nodes and weights of the Gauss-Legendre rule on [-1, 1], read-only."""
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    nodes.flags.writeable = weights.flags.writeable = False
-    return nodes, weights
 
 
 SERIES_BELOW = 3.0  # power series below this y = q d; the closed form above it is exact to 13 digits
@@ -246,7 +227,7 @@ def schulz_sizes(mean: float, deviation: float, count: int) -> tuple[Array, Arra
         return np.array([mean]), np.ones(1)
     t = (mean / deviation) ** 2 - 1
     low, high = max(mean - 6 * deviation, 1e-3 * mean), mean + 7 * deviation
-    x, w = gauss_rule(count)
+    x, w = gauss_legendre(count)
     s = 0.5 * (high + low) + 0.5 * (high - low) * x
     log = t * np.log(s / mean) - (t + 1) * (s / mean - 1)
     share = w * np.exp(log)

@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nacre.bsdf.facet_distributions import fresnel
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, barycentric_matrix, gauss_legendre
 from nacre.core.machine import in_threads
-from nacre.families.glass.medium import Medium, gauss_rule
+from nacre.families.glass.medium import Medium
 
 OPEN_NODES, TRAPPED_NODES = 20, 14
 AZIMUTHS = 8  # Fourier modes; single scattering is added in closed form
@@ -51,14 +51,14 @@ class Directions:
     @classmethod
     def of(cls, index: float) -> Directions:
         """Choose the nodes for a relative index of at least 1."""
-        x, w = gauss_rule(OPEN_NODES)
+        x, w = gauss_legendre(OPEN_NODES)
         outer, outer_weight = (x + 1) / 2, w / 2
         cos = np.sqrt(1 - (1 - outer**2) / index**2)
         weight = outer_weight * outer / (index**2 * cos)
         edge = np.sqrt(max(1 - 1 / index**2, 0.0))
         if index - 1 < MATCHED:
             return cls(index, outer, outer_weight, cos, weight, np.zeros(OPEN_NODES))
-        x, w = gauss_rule(TRAPPED_NODES)
+        x, w = gauss_legendre(TRAPPED_NODES)
         return cls(
             index, outer, outer_weight,
             np.concatenate([cos, edge * (x + 1) / 2]), np.concatenate([weight, edge * w / 2]),
@@ -264,12 +264,7 @@ def interpolation(nodes: Array, points: Array) -> Array:
     difference = nodes[:, None] - nodes
     np.fill_diagonal(difference, 1.0)
     log = np.log(np.abs(difference)).sum(axis=1)
-    weight = np.prod(np.sign(difference), axis=1) * np.exp(log.min() - log)
-    gap = np.asarray(points)[:, None] - nodes
-    hit = np.abs(gap) < 1e-14
-    terms = weight / np.where(hit, 1.0, gap)
-    found = terms / terms.sum(axis=1, keepdims=True)
-    return np.where(hit.any(axis=1, keepdims=True), hit.astype(float), found)
+    return barycentric_matrix(nodes, np.prod(np.sign(difference), axis=1) * np.exp(log.min() - log), points)
 
 
 def brdf_table(medium: Medium, band: int, slab: Slab, theta: Array, dphi: Array) -> Array:

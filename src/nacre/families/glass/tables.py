@@ -21,9 +21,9 @@ from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.interface import Microfacet, Specular
 from nacre.bsdf.lobes.table import TableLobe
 from nacre.bsdf.response import InterfaceResponse
-from nacre.core.arrays import Array, cell
+from nacre.core.arrays import Array, cell, gauss_legendre
 from nacre.core.machine import in_threads
-from nacre.families.glass.medium import Medium, gauss_rule
+from nacre.families.glass.medium import Medium
 from nacre.families.glass.radiative_transfer import MATCHED, Slab, brdf_pairs, brdf_table, face
 from nacre.families.glass.random_walk import Face, walk
 
@@ -110,7 +110,7 @@ CELL_NODES = 6
 
 def table_weights(theta: Array) -> Array:
     """Return weights `[theta]` that integrate a table, linear in theta, times cos over the hemisphere."""
-    x, w = gauss_rule(CELL_NODES)
+    x, w = gauss_legendre(CELL_NODES)
     weights = np.zeros(len(theta))
     for i in range(len(theta) - 1):
         part = (x + 1) / 2

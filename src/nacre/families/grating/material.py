@@ -15,7 +15,7 @@ from nacre.bsdf.lobes.interface import AlignedSpecular, Diffuse, Specular
 from nacre.bsdf.lobes.orders import OrdersLobe, limited_width
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import is_transparent
-from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
+from nacre.bsdf.texture import ParameterAxis, Texture, angle_texture
 from nacre.core.arrays import Array, gauss_legendre, interpolate, rotation_about_z, take_uniform
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Diffracting, DirectEvaluation, Fabricable, Pixels, Traits
@@ -394,18 +394,7 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
     @property
     def _rotation(self) -> Texture | None:
         """The turn in rad."""
-        degree = np.pi / 180.0
-        if self.turn is None:
-            if self.turn_deg == 0.0:
-                return None
-            return Texture(
-                self.turn_deg * degree, self.turn_deg * degree, formula=parse_formula(repr(self.turn_deg * degree))
-            )
-        made = self.turn
-        if made.formula is not None:
-            scaled = replace(parse_formula(f"({made.formula.text})*{degree!r}"), written=made.formula.written)
-            return Texture(made.low * degree, made.high * degree, formula=scaled)
-        return Texture(made.low * degree, made.high * degree, image=made.image, is_stepped=made.is_stepped)
+        return angle_texture(self.turn_deg if self.turn is None else self.turn)
 
     def _mirror(
         self, tables: list[OrderTables], lam: Array, eta: float, axes: tuple[ParameterAxis, ...]

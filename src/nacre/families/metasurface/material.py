@@ -49,7 +49,6 @@ from nacre.families.metasurface.species import (
     Species,
     mean_square_radius,
     non_sphere_notes,
-    rotation_warnings,
 )
 from nacre.families.metasurface.tmatrix.axisymmetric import Body, TabulatedBody
 from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
@@ -597,8 +596,15 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         return float(np.max(np.abs(np.transpose(np.array(found), (1, 0, 2)) - np.stack(exact, axis=-1))))
 
     def _warn(self) -> None:
-        for line in rotation_warnings(self.all_species):
-            warnings.warn(line, MetasurfaceWarning, stacklevel=3)
+        for species in self.all_species:
+            if species.body is not None and species.body.turn_loss:
+                warnings.warn(
+                    f"{species.body.source}: is not axisymmetric: the mean over its turn about the normal is taken, "
+                    f"and {100 * species.body.turn_loss:.2g} % of what it scatters, which depends on the turn, is left "
+                    'out; orientation = "aligned" takes all of it, of particles that point one way',
+                    MetasurfaceWarning,
+                    stacklevel=3,
+                )
         doubt = self._doubt
         if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_replaced:  # searches report replaced ensembles
             instead = "" if self.is_aligned else '; model.correction = "ensemble" solves the particles together'

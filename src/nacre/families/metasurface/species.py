@@ -468,17 +468,6 @@ def non_sphere_notes(all_species: tuple[Species, ...]) -> dict[str, Any]:
     return found
 
 
-def rotation_warnings(all_species: tuple[Species, ...]) -> list[str]:
-    """Return a warning for each species whose rotational average is used."""
-    return [
-        f"{species.body.source}: is not axisymmetric: the mean over its turn about the normal is taken, and "
-        f"{100 * species.body.turn_loss:.2g} % of what it scatters, which depends on the turn, is left out; "
-        'orientation = "aligned" takes all of it, of particles that point one way'
-        for species in all_species
-        if species.body is not None and species.body.turn_loss
-    ]
-
-
 def mean_square_radius(all_species: tuple[Species, ...]) -> float:
     """Return the rms radius over all species in nm, which defines the coverage."""
     squares: Array = np.array([species.share * species.outer_radius_nm**2 for species in all_species])

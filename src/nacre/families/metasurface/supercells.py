@@ -18,11 +18,11 @@ from scipy.linalg.lapack import cgetrf, cgetrs
 from scipy.spatial import cKDTree
 from scipy.special import jv, spherical_jn
 
-from nacre.core.arrays import Array, ComplexArray
+from nacre.core.arrays import Array, ComplexArray, barycentric_matrix
 from nacre.core.jit import compiled
 from nacre.families.metasurface.monolayer.arrangement import Pattern
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
-from nacre.families.metasurface.monolayer.qca import NeighbourTable, barycentric, chebyshev, mixed
+from nacre.families.metasurface.monolayer.qca import NeighbourTable, chebyshev, mixed
 from nacre.families.metasurface.monolayer.translation_sums import (
     NeighbourGeometry,
     direct_coefficients,
@@ -165,7 +165,7 @@ class DistantSheet:
         """Return W summed beyond the window per particle at wavevectors over k along x, `[wave, n, n']`, nm^2."""
         w = np.sqrt((1.0 - kappa**2).astype(complex))
         nodes, weights = chebyshev(self.within.shape[1], 0.0, self.largest)
-        rest = self.table.sums(kappa, w) - mixed(barycentric(nodes, weights, kappa), self.within)
+        rest = self.table.sums(kappa, w) - mixed(barycentric_matrix(nodes, weights, kappa), self.within)
         return unfolded(rest, self.table.geometry.order) / self.table.geometry.structure.density_per_nm2
 
 

@@ -108,10 +108,6 @@ def _directions(asked: tuple[float, ...], index: float) -> tuple[Single, Single]
     return mu.astype(np.float32), weight.astype(np.float32)
 
 
-def _area(mu: Single, sigma: float) -> Single:
-    return np.asarray(np.sqrt(sigma**2 * (1.0 - mu**2) + mu**2))
-
-
 def _weakening(medium: Medium, mu: Single) -> Single:
     """Return the extinction x `[wavelength, direction]` per unit depth."""
     bands = medium.reflect.shape[2]
@@ -119,7 +115,8 @@ def _weakening(medium: Medium, mu: Single) -> Single:
     if len(medium.absorb):
         x += medium.absorb / mu[:, None]
     for k, sigma in enumerate(medium.sigma):
-        x += (medium.number[k] * _area(mu, sigma) / mu)[:, None] * _row(medium.extinct[k], mu)
+        area = np.sqrt(sigma**2 * (1.0 - mu**2) + mu**2)
+        x += (medium.number[k] * area / mu)[:, None] * _row(medium.extinct[k], mu)
     return np.ascontiguousarray(np.maximum(x.T, SMALL), dtype=np.float32)
 
 

@@ -16,14 +16,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from math import erfc, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.core.arrays import Array, ComplexArray
+from nacre.core.arrays import Array, ComplexArray, gauss_legendre
 from nacre.core.errors import NacreError
 from nacre.core.jit import compiled
 
@@ -163,7 +162,7 @@ class Thickness:
         """Return quadrature nodes (nm) and weights summing to 1: Gauss-Legendre on `panels` panels or more."""
         if self.is_fixed:
             return np.array([self.mean_nm]), np.array([1.0])
-        x, w = _gauss()
+        x, w = gauss_legendre(POINTS_PER_PANEL)
         if self.distribution == "histogram":
             assert self.edges_nm is not None and self.fractions is not None
             split = max(1, -(-panels // len(self.fractions)))
@@ -239,11 +238,6 @@ class Thickness:
             value = value - _tail(b, z, wofz) * np.exp(1j * x * (self.high_nm - centre))
         value = value - _tail(-a, -z, wofz) * np.exp(1j * x * (self.low_nm - centre))
         return np.asarray(value / total)
-
-
-@lru_cache(maxsize=1)
-def _gauss() -> tuple[Array, Array]:
-    return np.polynomial.legendre.leggauss(POINTS_PER_PANEL)
 
 
 def _tail(bound: float, z: Array, wofz: object) -> ComplexArray:

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, barycentric_matrix
 from nacre.families.relief.diffraction_orders import (
     LEAST_COSINE,
     Coefficients,
@@ -60,24 +60,12 @@ def node_count(height_range_nm: float, low: float, high: float, error: float) ->
     return max(1, int(orders[enough[0]]))
 
 
-def interpolation_weights(nodes: Array, points: ArrayLike) -> Array:
-    """Return barycentric weights `[node, ...]` that interpolate values at `nodes` to `points`.
-
-    Exact at the nodes; stable for any number of first-kind nodes (Berrut & Trefethen 2004).
-    """
-    points = np.asarray(points, dtype=float)
-    count = len(nodes)
-    if count == 1:
-        return np.ones((1, *points.shape))
-    angles = (2.0 * np.arange(count) + 1.0) * np.pi / (2.0 * count)
-    signs = np.where(np.arange(count) % 2 == 0, 1.0, -1.0) * np.sin(angles)
-    difference = points[None] - nodes.reshape(-1, *(1,) * points.ndim)
-    exact = difference == 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        terms = signs.reshape(-1, *(1,) * points.ndim) / difference
-        weights = terms / terms.sum(axis=0)
-    hit = exact.any(axis=0)
-    return np.where(hit[None], exact.astype(float), weights)
+def interpolation_weights(nodes: Array, points: Array) -> Array:
+    """Return weights `[node, ...]` that interpolate values at Chebyshev `nodes` to `points` `[...]`."""
+    index = np.arange(len(nodes))
+    weights = np.where(index % 2 == 0, 1.0, -1.0) * np.sin((2.0 * index + 1.0) * np.pi / (2.0 * len(nodes)))
+    matrix = barycentric_matrix(nodes, weights, points.ravel())
+    return matrix.T.reshape(-1, *points.shape)
 
 
 Reflectance = Callable[[Array], Array]

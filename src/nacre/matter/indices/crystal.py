@@ -53,8 +53,7 @@ class AnisotropicConstant:
     @property
     def range_nm(self) -> tuple[float, float]:
         """The common range of the three constants."""
-        ranges = [c.range_nm for c in self.principal]
-        return max(low for low, _ in ranges), min(high for _, high in ranges)
+        return _Mean(self.principal).range_nm
 
     @property
     def is_axial(self) -> bool:

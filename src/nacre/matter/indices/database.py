@@ -158,12 +158,8 @@ def load_entry(key: str) -> Entry:
         UnknownMaterialError: unknown page, or one without a refractive index.
         NacreError: the file cannot be understood.
     """
-    return read_entry(key, find_page(key).file)
-
-
-def read_entry(key: str, file: str) -> Entry:
-    """Read one database file; see `load_entry`."""
-    return _entry(key, database_folder() / "data" / file, f'"{key}" of the refractiveindex.info database')
+    path = database_folder() / "data" / find_page(key).file
+    return _entry(key, path, f'"{key}" of the refractiveindex.info database')
 
 
 def read_page(path: Path) -> Dispersion:

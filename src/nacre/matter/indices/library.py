@@ -14,7 +14,7 @@ from nacre.matter.indices.constant import (
     find_default,
     named_constant,
 )
-from nacre.matter.indices.database import Page, axes_of, catalogue
+from nacre.matter.indices.database import axes_of, catalogue
 from nacre.matter.indices.spec import IndexSpec, index_spec
 
 BY_AXIS = ("ordinary", "extraordinary", "principal")  # keys of an anisotropic medium
@@ -46,11 +46,6 @@ def index(material: str | complex | OpticalConstant | Mapping[str, Any] | IndexS
     return spec.build()
 
 
-def material_names() -> list[str]:
-    """Return the material names, in the documentation's order."""
-    return [d.name for d in DEFAULTS]
-
-
 def search(text: str) -> list[IndexDescription]:
     """Return the named materials and the database entries that contain every word in `text`, names first.
 
@@ -63,7 +58,7 @@ def search(text: str) -> list[IndexDescription]:
         for d in DEFAULTS
         if all(match(" ".join((d.name, d.title, d.source, *d.aliases))) for match in words)
     ]
-    pages = (p for p in catalogue().values() if all(match(_page_text(p)) for match in words))
+    pages = (p for p in catalogue().values() if all(match(f"{p.key} {p.book_title} {p.title}") for match in words))
     return found + [IndexDescription(p.key, f"{p.book_title}; {p.title}", p.key, None) for p in pages]
 
 
@@ -121,10 +116,6 @@ def lone_axes(data: Any) -> list[str]:
     if isinstance(data, Mapping):
         return [line for key, value in data.items() if key not in BY_AXIS for line in lone_axes(value)]
     return [line for value in data for line in lone_axes(value)] if isinstance(data, list | tuple) else []
-
-
-def _page_text(page: Page) -> str:
-    return f"{page.key} {page.book_title} {page.title}"
 
 
 def _matcher(word: str) -> Any:

@@ -224,8 +224,9 @@ def _finest(
                     error = max(error, min(CHANCE * change, bound))
             else:
                 step = smallest_element(stack, size) / smallest_element(stack, last) if method == "ovals" else GRADING
+                # of the finer to the coarser error: by the singularity at metal edges, or beside a steep side
                 ratio = least if exponent is None else max(least, step ** (2.0 * exponent))
-                error = _metal_error(method, ratio, amplitude_change(previous, found))
+                error = amplitude_change(previous, found) * max(METAL_SAFETY[method], ratio / (1.0 - ratio))
             candidate = replace(candidate, error=max(error, LEAST_ERROR[method]))
             # a finer size that differs from the best by more than its error refutes that error
             is_refuted = method == "ovals" and best is not None and difference(best, found) > best.error
@@ -245,16 +246,6 @@ def _is_steep(stack: PeriodicStack) -> bool:
     beside = np.array(stack.profile.corners)[:, None] + np.array([-1e-6, 1e-6])
     slopes = stack.profile.slope(beside % 1.0) * (stack.profile.depth_nm / stack.cell.period_x)
     return bool(np.abs(slopes).max() > STEEP)
-
-
-def _metal_error(method: str, ratio: float, change: float) -> float:
-    """Return the error at the finer of two sizes.
-
-    Args:
-        ratio: finer over coarser error, from the field singularity at metal edges or beside a steep side.
-        change: amplitude difference between both sizes.
-    """
-    return change * max(METAL_SAFETY[method], ratio / (1.0 - ratio))
 
 
 def _solve_slices(

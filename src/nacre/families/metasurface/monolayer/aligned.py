@@ -481,7 +481,7 @@ def tabulate_aligned(
     chosen = _select_terms(series)
     values, orders = np.ascontiguousarray(series[:, chosen]), series_orders()[chosen].astype(float)
     k, index, step, s = evaluation.lobe_axes(surfaces, structure, grids)
-    lobe = Aligned(wavelengths_nm, values, orders, *grids.counts, eta, turn_rad, k, index, step, s)
+    lobe = Aligned(wavelengths_nm, *grids.counts, eta, k, index, step, s, values, orders, turn_rad)
     response = evaluation.interface_response(
         results, wavelengths_nm, grids, eta, (NODES[0], NODES[1][: results[0].total.shape[-1]])
     )

@@ -317,7 +317,7 @@ def tabulate(
     above, below, across = (column(results, name) for name in ("above", "below", "across"))
     k, index, step, s = lobe_axes(surfaces, structure, grids)
     harmonic = Harmonic(
-        wavelengths_nm, above, below, across, free(0), free(1), free(2), *grids.counts, eta, k, index, step, s
+        wavelengths_nm, *grids.counts, eta, k, index, step, s, above, below, across, free(0), free(1), free(2)
     )
     response = interface_response(results, wavelengths_nm, grids, eta, (tables.cosines, tables.beyond))
     specular = Specular(dataclasses.replace(response, relative_index=index) if eta > 1.0 else response)

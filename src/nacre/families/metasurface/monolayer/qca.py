@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import fft, ifft, rfft
 
-from nacre.core.arrays import Array, ComplexArray, gauss_legendre
+from nacre.core.arrays import Array, ComplexArray, barycentric_matrix, gauss_legendre
 from nacre.core.errors import UnsupportedError
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.monolayer.translation_sums import (
@@ -35,18 +35,6 @@ def chebyshev(count: int, low: float, high: float) -> tuple[Array, Array]:
     nodes: Array = low + (high - low) * (1 - np.cos(angle)) / 2
     weights = np.asarray((-1.0) ** j * np.sin(angle), dtype=np.float64)
     return nodes, weights
-
-
-def barycentric(nodes: Array, weights: Array, x: Array) -> Array:
-    """Interpolation matrix `[x, node]`."""
-    gap = x[:, None] - nodes
-    hit = np.abs(gap) < 1e-13
-    gap = np.where(hit, 1.0, gap)
-    terms = weights / gap
-    matrix = terms / terms.sum(axis=1, keepdims=True)
-    rows = hit.any(axis=1)
-    matrix[rows] = hit[rows].astype(float)
-    return matrix
 
 
 def mixed(matrix: Array, nodes: ComplexArray) -> ComplexArray:
@@ -100,12 +88,12 @@ class NeighbourTable:
         inside = kappa <= 1.0
         if np.any(inside):
             nodes, weights = chebyshev(self.propagating.shape[1], 0.0, np.pi / 2)
-            matrix = barycentric(nodes, weights, np.arcsin(kappa[inside]))
+            matrix = barycentric_matrix(nodes, weights, np.arcsin(kappa[inside]))
             out[:, inside] = mixed(matrix, self.propagating)
         if not np.all(inside):
             assert self.evanescent is not None  # requires `from_below`
             nodes, weights = chebyshev(self.evanescent.shape[1], 0.0, self.eta_max)
-            matrix = barycentric(nodes, weights, np.arccosh(kappa[~inside]))
+            matrix = barycentric_matrix(nodes, weights, np.arccosh(kappa[~inside]))
             out[:, ~inside] = mixed(matrix, self.evanescent)
         return out + plane_wave_sums(self.geometry, w, kappa)
 
@@ -169,15 +157,15 @@ def node_weights(directions: Directions, index_below: float, counts: Counts, wid
     d = directions
     if not d.below:
         nodes, weights = chebyshev(counts[0], 0.0, widest_rad)
-        return barycentric(nodes, weights, np.arcsin(d.transverse))
+        return barycentric_matrix(nodes, weights, np.arcsin(d.transverse))
     first = counts[1]
     out = np.zeros((d.cosines.size, sum(len(part) for part in node_sines(index_below, True, counts))))
     inside = d.transverse <= 1.0
     nodes, weights = chebyshev(first, 0.0, np.pi / 2)
-    out[inside, :first] = barycentric(nodes, weights, np.arcsin(d.transverse[inside]))
+    out[inside, :first] = barycentric_matrix(nodes, weights, np.arcsin(d.transverse[inside]))
     if not np.all(inside):
         nodes, weights = chebyshev(counts[2], 0.0, np.arccosh(index_below))
-        out[~inside, first:] = barycentric(nodes, weights, np.arccosh(d.transverse[~inside]))
+        out[~inside, first:] = barycentric_matrix(nodes, weights, np.arccosh(d.transverse[~inside]))
     return out
 
 

@@ -429,12 +429,6 @@ def reversed_full(matrix: ComplexArray) -> ComplexArray:
     return np.asarray(np.swapaxes(matrix, -1, -2)[..., partner, :][..., :, partner])
 
 
-def rotated_full(matrix: ComplexArray, turn_rad: float) -> ComplexArray:
-    """Return T, `[..., n, n']`, for the particle rotated about the normal, from x towards y."""
-    phase = np.exp(-1j * multipole_index(full_order(matrix)).m * turn_rad)
-    return np.asarray(phase[:, None] * matrix * phase.conj())
-
-
 def tilted_full(matrix: ComplexArray, tilt_rad: float) -> ComplexArray:
     """Return T, `[..., n, n']`, for the particle rotated about y, from z towards x.
 
