@@ -80,7 +80,7 @@ def _ranges(side: str, theta: Array, error: Array) -> list[dict[str, Any]]:
     theta, error = np.concatenate([row, theta, row + 90.0]), np.concatenate([row, error, row])
     points, columns = np.nonzero(error > STATED_FROM)
     low, high = theta[points - 1, columns], theta[points + 1, columns]
-    found: list[dict[str, Any]] = []
+    ranges: list[dict[str, Any]] = []
     for i in np.argsort(low, kind="stable"):
         one: dict[str, Any] = {
             "side": side,
@@ -88,15 +88,15 @@ def _ranges(side: str, theta: Array, error: Array) -> list[dict[str, Any]]:
             "to_deg": float(high[i]),
             "error": float(error[points[i], columns[i]]),
         }
-        if found and one["from_deg"] <= found[-1]["to_deg"] + JOINED_DEG:
-            last = found.pop()
+        if ranges and one["from_deg"] <= ranges[-1]["to_deg"] + JOINED_DEG:
+            last = ranges.pop()
             one |= {"from_deg": last["from_deg"], **{key: max(one[key], last[key]) for key in ("to_deg", "error")}}
-        found.append(one)
-    for one in found:
+        ranges.append(one)
+    for one in ranges:
         one["from_deg"] = math.floor(1e3 * one["from_deg"]) / 1e3
         one["to_deg"] = math.ceil(1e3 * one["to_deg"]) / 1e3
         one["error"] = round(min(one["error"], 1.0), 6)
-    return found
+    return ranges
 
 
 class _Nodes:
@@ -161,10 +161,10 @@ def tabulate(
         every = np.arange(len(nodes.at) - 1)
         middle, values, error = nodes.midpoints(every)
         worst = float(error.max())
-        found = nodes.errors(check, exact)
-        if max(worst, float(found.max())) <= fine_error or 2 * len(every) + 1 > most:
-            return nodes.result((check, found), (middle / UNITS, error))
-        if level < last - 1 or max(worst, float(found.max())) <= ALLOWED_ERROR:
+        errors = nodes.errors(check, exact)
+        if max(worst, float(errors.max())) <= fine_error or 2 * len(every) + 1 > most:
+            return nodes.result((check, errors), (middle / UNITS, error))
+        if level < last - 1 or max(worst, float(errors.max())) <= ALLOWED_ERROR:
             nodes.insert(middle, values)
             if level == last - 1:
                 return nodes.result((check, nodes.errors(check, exact)))
@@ -191,8 +191,8 @@ def _bisect(nodes: _Nodes, middle: NDArray[np.intp], values: Array, error: Array
         halves = halves[np.diff(nodes.at)[halves] > 1]
         if not len(halves):
             return
-        middle, values, found = nodes.midpoints(halves)
-        error = found.max(axis=1)
+        middle, values, halved = nodes.midpoints(halves)
+        error = halved.max(axis=1)
 
 
 def _balance(nodes: _Nodes, most: int) -> NDArray[np.intp]:
@@ -232,9 +232,9 @@ def response_errors(response: InterfaceResponse) -> AngleErrors:
     """Estimate the interpolation errors in R and T for a tabulated interface, from second differences."""
     at = np.rint(response.cos_outside * UNITS)
     tables = (response.reflectance, response.transmittance, response.reflectance_inside)
-    found = [_curvature_errors(at, np.moveaxis(table, -2, 0)) for table in tables]
-    theta = np.arccos(np.concatenate([cos for cos, _ in found]))
-    errors = np.concatenate([error for _, error in found])
+    estimates = [_curvature_errors(at, np.moveaxis(table, -2, 0)) for table in tables]
+    theta = np.arccos(np.concatenate([cos for cos, _ in estimates]))
+    errors = np.concatenate([error for _, error in estimates])
     return AngleErrors((theta[:, None], errors), (np.arcsin(np.sin(theta[:, None]) / response.eta), errors))
 
 

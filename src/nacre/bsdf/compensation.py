@@ -187,8 +187,8 @@ def _albedo(
     own = response.cos_outside
     rows = []
     for w in directions:
-        seen = m @ w > 0
-        facets, weight = m[seen], measure[seen]
+        is_visible = m @ w > 0
+        facets, weight = m[is_visible], measure[is_visible]
         w_m = np.clip(facets @ w, 0.0, 1.0)
         weight = weight * w_m / w[2]
         eta = 1.0 if tables is None else (1.0 / response.eta if inside else response.eta)

@@ -154,11 +154,11 @@ def visible_normals(
     """
     m, measure = normal_quadrature(distribution, alpha_x, alpha_y, nodes)
     w_m = m @ w
-    seen = np.maximum(w_m, 0.0)
+    visible = np.maximum(w_m, 0.0)
     if distribution in ("ggx", "beckmann"):
-        weight = measure * smith_masking(distribution, w, alpha_x, alpha_y) * seen / w[2]
+        weight = measure * smith_masking(distribution, w, alpha_x, alpha_y) * visible / w[2]
     elif distribution == "blinn":
-        weight = measure * np.minimum(seen / w[2], 2.0 * m[:, 2])
+        weight = measure * np.minimum(visible / w[2], 2.0 * m[:, 2])
     else:
         weight = measure * (w_m > 0)
     return m, weight
@@ -213,19 +213,19 @@ class Roughness:
         return max(self.alpha_x, self.alpha_y) < SMOOTH_BELOW
 
 
-def check_widths(value: object, forms: str, shown: str) -> None:
+def check_widths(value: object, forms: str, text: str) -> None:
     """Check one or two widths from a recipe.
 
     Args:
         value: the recipe's value.
         forms: valid forms, for the message.
-        shown: the value as text, for the message.
+        text: the value as text, for the message.
 
     Raises:
         ValueError: not one or two numbers, or a number outside [0, 1]; the message continues the key.
     """
     numbers: Any = value if isinstance(value, list | tuple) else [value]
     if len(numbers) not in (1, 2) or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
-        raise ValueError(f"= {shown} is not a roughness; write {forms}")
+        raise ValueError(f"= {text} is not a roughness; write {forms}")
     if not all(0.0 <= v <= 1.0 for v in numbers):
-        raise ValueError(f"= {shown} is not allowed; it should be in [0, 1]")
+        raise ValueError(f"= {text} is not allowed; it should be in [0, 1]")

@@ -40,7 +40,7 @@ FLAKE_STEP = 0x85EBCA6B
 
 
 def glint_species(
-    uv_mm: tuple[float, float], diameter_um: float, spread: float, seen: float, width: float, seed: int
+    uv_mm: tuple[float, float], diameter_um: float, spread: float, visible: float, width: float, seed: int
 ) -> tuple[Array, Array, Array]:
     """Return `factor`'s tables for one species: numbers `[6]`, radii by quantile `[65]`, ratio of means `[65]`.
 
@@ -48,7 +48,7 @@ def glint_species(
         uv_mm: surface length of one unit of u and v.
         diameter_um: median disc diameter.
         spread: standard deviation of the log diameter.
-        seen: mean number of visible flakes at a point (flake area over surface area).
+        visible: mean number of visible flakes at a point (flake area over surface area).
         width: width of a single flake's lobe, as a slope over the flakes' deviation.
         seed: hash seed, below 2^24.
     """
@@ -59,9 +59,9 @@ def glint_species(
     # mean square of the piecewise linear radius
     square = float(np.mean(radii_mm[:-1] ** 2 + radii_mm[:-1] * radii_mm[1:] + radii_mm[1:] ** 2)) / 3.0
     # discs reach only the neighbouring cells: a cell is as wide as the widest disc
-    count = max(1, math.ceil(seen * (2.0 * radii_mm[-1]) ** 2 / (math.pi * square) - 1e-9))
-    cell_mm = math.sqrt(count * math.pi * square / seen)
-    numbers = np.array([uv_mm[0] / cell_mm, uv_mm[1] / cell_mm, count, seen, width, seed])
+    count = max(1, math.ceil(visible * (2.0 * radii_mm[-1]) ** 2 / (math.pi * square) - 1e-9))
+    cell_mm = math.sqrt(count * math.pi * square / visible)
+    numbers = np.array([uv_mm[0] / cell_mm, uv_mm[1] / cell_mm, count, visible, width, seed])
     return numbers, radii_mm / cell_mm, mean_ratio(width)
 
 

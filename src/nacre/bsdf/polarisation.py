@@ -206,10 +206,10 @@ class _Side:
 
     def solve(self, theta: Array, azimuth: float, waves: Array) -> tuple[Array, Array]:
         """Return reflected and transmitted matrices `[angle, wavelength, 16]`; zeros for an unknown transmission."""
-        found = self.stack.polarised(theta, waves, self.sign * azimuth, slice_share=SLICE_SHARE)
+        response = self.stack.polarised(theta, waves, self.sign * azimuth, slice_share=SLICE_SHARE)
         parts = []
-        for matrix in (found.mueller_reflected, found.mueller_transmitted):
-            matrix = np.zeros_like(found.mueller_reflected) if matrix is None else matrix
+        for matrix in (response.mueller_reflected, response.mueller_transmitted):
+            matrix = np.zeros_like(response.mueller_reflected) if matrix is None else matrix
             turned = _FRAME[:, None] * matrix * _FRAME
             parts.append(turned.reshape(*turned.shape[:-2], 16))
         return parts[0], parts[1]
@@ -231,10 +231,10 @@ class _Side:
 
     def elements(self, theta: Array, azimuths: Array) -> tuple[Array, Array]:
         """Return `[azimuth, angle, wavelength, 16]` of both parts, relative to the mean of their first elements."""
-        found = [self.solve(theta, float(a), self.waves) for a in azimuths[:-1]]
+        solved = [self.solve(theta, float(a), self.waves) for a in azimuths[:-1]]
         parts = []
         for part in (0, 1):
-            values = np.stack([one[part] for one in found])
+            values = np.stack([one[part] for one in solved])
             mean = values[..., :1].mean(axis=0)
             values = np.where(mean > 0.0, values / np.where(mean > 0.0, mean, 1.0), 0.0)
             parts.append(np.concatenate([values, values[:1]]))

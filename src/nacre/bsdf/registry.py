@@ -70,7 +70,7 @@ def outside_lobe(kind: str) -> LobeEntry:
         KeyError: unregistered kind.
         NacreError: the entry point cannot be loaded, or is not a `LobeEntry`.
     """
-    found = entry_points(GROUP, LOBES)[kind].load()
-    if not isinstance(found, LobeEntry) or found.lobe.kind != kind:
+    entry = entry_points(GROUP, LOBES)[kind].load()
+    if not isinstance(entry, LobeEntry) or entry.lobe.kind != kind:
         raise NacreError(f'entry point "{kind}" of {GROUP} is not a LobeEntry of a lobe of kind "{kind}"')
-    return found
+    return entry

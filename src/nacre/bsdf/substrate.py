@@ -317,9 +317,9 @@ class SubstrateSpec(RecipeModel):
         return data
 
     def model_post_init(self, _: Any) -> None:
-        given = [k for k in ("albedo", "material", "recipe") if getattr(self, k) is not None] + ["none"] * self.none
-        if len(given) > 1:
-            raise ValueError(f"gives {' and '.join(given)}; give one of albedo, material, recipe, none = true")
+        keys = [k for k in ("albedo", "material", "recipe") if getattr(self, k) is not None] + ["none"] * self.none
+        if len(keys) > 1:
+            raise ValueError(f"gives {' and '.join(keys)}; give one of albedo, material, recipe, none = true")
         if isinstance(self.recipe, Mapping) and "family" not in self.recipe:
             raise ValueError("recipe has no family; it should be a file's name, or a table with the keys of a recipe")
         if self.recipe is not None and self.roughness != 0.0:
@@ -404,15 +404,15 @@ def _placed(message: str, table: Mapping[str, Any], first: int | None, source: s
         first: index of its uppermost stratum in the outer list; unset for a base table.
         source: the outer recipe's name, the start of the message.
     """
-    said = message.removeprefix(f"{source}: ")
+    text = message.removeprefix(f"{source}: ")
     if first is None:
-        return f"{source}: base.recipe: {said}"
-    if said.startswith("key strata is not known"):
+        return f"{source}: base.recipe: {text}"
+    if text.startswith("key strata is not known"):
         family = show_value(table["family"])
         return f"{source}: strata[{first}].family = {family} is not allowed; it should be a family made of strata"
-    if said.startswith("family = "):
-        return f"{source}: strata[{first}].{said}"
-    moved = re.sub(r"^((?:key )?strata\[)(\d+)\]", lambda found: f"{found[1]}{int(found[2]) + first}]", said)
+    if text.startswith("family = "):
+        return f"{source}: strata[{first}].{text}"
+    moved = re.sub(r"^((?:key )?strata\[)(\d+)\]", lambda match: f"{match[1]}{int(match[2]) + first}]", text)
     return f"{source}: {moved}"
 
 

@@ -245,13 +245,13 @@ class StackTables:
         layers = np.unique(np.concatenate([self.n[1:-1].real, dense[None]]), axis=0) ** 2
         rare, dense = rare**2, dense**2
         outside = np.sqrt(1.0 - np.minimum(layers / rare, 1.0)).ravel()
-        found = [outside]
+        nodes = [outside]
         if self.eta > 1.0:
             share = np.clip((layers - rare) / np.maximum(dense - rare, 1e-12), 0.0, 1.0)
-            found.append(2.0 / np.pi * np.arcsin(np.sqrt(share)).ravel())
-        found = [np.unique(np.round(at[(at > 0.0) & (at < 1.0)], 6)) for at in found]
-        found = [at[:: -(-len(at) // MOST_CRITICAL) or 1] for at in found]
-        beside = [np.clip(at[:, None] + BESIDE, 0.0, 1.0).ravel() for at in found]
+            nodes.append(2.0 / np.pi * np.arcsin(np.sqrt(share)).ravel())
+        nodes = [np.unique(np.round(at[(at > 0.0) & (at < 1.0)], 6)) for at in nodes]
+        nodes = [at[:: -(-len(at) // MOST_CRITICAL) or 1] for at in nodes]
+        beside = [np.clip(at[:, None] + BESIDE, 0.0, 1.0).ravel() for at in nodes]
         return beside[0], beside[-1]
 
     def _resonances(self, d: Array, angles: Array, is_clear: bool) -> tuple[Array, Array]:
@@ -311,8 +311,8 @@ class StackTables:
         critical = np.arcsin(np.clip([1.0 / self.eta, *np.quantile(rare / dense, CRITICAL_QUANTILES)], 0.0, 1.0))
         theta = np.concatenate([angles, np.linspace(critical.min(), critical.max(), DISPERSED_ANGLES), critical])
         exact = self.inside(d, np.sin(theta)[:, None] * dense)
-        found = response.resolved(np.cos(theta), np.ones(len(theta), dtype=bool))
-        error = np.abs(np.stack(found) - np.clip(np.stack(exact), 0.0, 1.0)).max(axis=0)
+        stored = response.resolved(np.cos(theta), np.ones(len(theta), dtype=bool))
+        error = np.abs(np.stack(stored) - np.clip(np.stack(exact), 0.0, 1.0)).max(axis=0)
         return np.broadcast_to(theta[:, None], error.shape), error
 
 
@@ -449,8 +449,8 @@ class AnisotropicTables(StackTables):
         theta = np.minimum(np.arccos(np.clip(cos_outside, 0.0, 1.0)), MOST_THETA)
         shape = (*thicknesses_nm.shape[:-1], len(theta), len(self.wavelengths_nm))
         rows = thicknesses_nm.reshape(math.prod(thicknesses_nm.shape[:-1]), thicknesses_nm.shape[-1])
-        found = [self._mean(self.lit(row, from_above=not self.flipped), theta) for row in rows]
-        reflected, passed = (np.stack([one[k] for one in found]).reshape(shape) for k in (0, 1))
+        means = [self._mean(self.lit(row, from_above=not self.flipped), theta) for row in rows]
+        reflected, passed = (np.stack([one[k] for one in means]).reshape(shape) for k in (0, 1))
         return reflected, passed if self.transmits else np.zeros_like(passed)
 
     def inside(self, thicknesses_nm: Array, in_plane: Array) -> tuple[Array, Array]:
@@ -461,9 +461,9 @@ class AnisotropicTables(StackTables):
         in_plane = np.where(np.abs(in_plane / rare - 1.0) < BESIDE_GRAZING, rare * (1.0 + BESIDE_GRAZING), in_plane)
         theta = np.minimum(np.arcsin(np.clip(in_plane / dense, 0.0, 1.0)), MOST_THETA)
         stack_of = [self.lit(row, from_above=self.flipped) for row in rows]
-        found = [self._mean(stack, theta, self._azimuths_inside) for stack in stack_of]
+        means = [self._mean(stack, theta, self._azimuths_inside) for stack in stack_of]
         shape = (*thicknesses_nm.shape[:-1], *in_plane.shape)
-        return np.reshape([one[0] for one in found], shape), np.reshape([one[1] for one in found], shape)
+        return np.reshape([one[0] for one in means], shape), np.reshape([one[1] for one in means], shape)
 
     def _behind(self, d: Array, cos: Array, reflected: Array) -> Array:
         """Return R from inside at the conjugate angles, `[*params, cos, wavelength]`; equal to R without losses."""
@@ -495,9 +495,9 @@ class AnisotropicTables(StackTables):
         """Return the means of R and T `[angle, wavelength]`."""
         chosen = self.azimuths_rad if azimuths is None else azimuths
         waves, share = self.wavelengths_nm, SLICE_SHARE
-        found = [stack.polarised(theta, waves, float(a), slice_share=share) for a in chosen]
-        reflected = np.mean([one.mueller_reflected[..., 0, 0] for one in found], axis=0)
-        return reflected, np.mean([one.entering[..., 0] for one in found], axis=0)
+        responses = [stack.polarised(theta, waves, float(a), slice_share=share) for a in chosen]
+        reflected = np.mean([one.mueller_reflected[..., 0, 0] for one in responses], axis=0)
+        return reflected, np.mean([one.entering[..., 0] for one in responses], axis=0)
 
     def varies_visibly(self, thicknesses_nm: Array) -> bool:
         """Whether the colour of the reflected light at some azimuth differs from that of the mean by dE00 0.5."""
@@ -505,8 +505,8 @@ class AnisotropicTables(StackTables):
             return False
         stack, theta = self.lit(thicknesses_nm, from_above=not self.flipped), np.arccos(PROBE_COSINES)
         azimuths = np.linspace(0.0, np.pi, PROBED_AZIMUTHS, endpoint=False)
-        found = np.stack([self._mean(stack, theta, np.array([a]))[0] for a in azimuths])
-        each, mean = (reflected_lab(r, self.wavelengths_nm) for r in (found, found.mean(axis=0)))
+        spectra = np.stack([self._mean(stack, theta, np.array([a]))[0] for a in azimuths])
+        each, mean = (reflected_lab(r, self.wavelengths_nm) for r in (spectra, spectra.mean(axis=0)))
         return bool(np.max(delta_e_2000(each, np.broadcast_to(mean, each.shape))) > COLOUR_ERROR)
 
     def over_azimuth(self, thicknesses_nm: Array) -> InterfaceResponse:
@@ -523,9 +523,9 @@ class AnisotropicTables(StackTables):
         count = LEAST_AZIMUTHS
         while count < MOST_AZIMUTHS:
             at = np.linspace(0.0, np.pi, count + 1)  # nodes and the middles between them, in half a turn
-            found = np.stack([self._mean(stack, theta, np.array([a]))[0] for a in at])
-            between = 0.5 * (found[:-2:2] + found[2::2])
-            exact, linear = (reflected_lab(r, self.wavelengths_nm) for r in (found[1::2], between))
+            means = np.stack([self._mean(stack, theta, np.array([a]))[0] for a in at])
+            between = 0.5 * (means[:-2:2] + means[2::2])
+            exact, linear = (reflected_lab(r, self.wavelengths_nm) for r in (means[1::2], between))
             if float(np.max(delta_e_2000(linear, exact))) < COLOUR_ERROR:
                 break
             count *= 2
@@ -578,8 +578,8 @@ class AnisotropicTables(StackTables):
         Where the ambient is the denser medium, they are those at the conjugate angles in the rarer one.
         """
         exact = self.outside(np.asarray(thicknesses_nm, dtype=float), CHECKED_COSINES)[0]
-        found = response.lookup(CHECKED_COSINES, np.zeros(len(CHECKED_COSINES), dtype=bool))[0]
-        theta, error = np.arccos(CHECKED_COSINES)[:, None], np.abs(found - exact)
+        stored = response.lookup(CHECKED_COSINES, np.zeros(len(CHECKED_COSINES), dtype=bool))[0]
+        theta, error = np.arccos(CHECKED_COSINES)[:, None], np.abs(stored - exact)
         if not self.flipped:
             return AngleErrors((theta, error))
         return AngleErrors((theta, error), (np.arcsin(np.sin(theta) / self.eta), error))

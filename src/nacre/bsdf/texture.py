@@ -52,7 +52,7 @@ def with_values(formula: str, names: Mapping[str, float]) -> str:
         >>> with_values("100*drain + 1e2", {"drain": 0.4})
         '100*(0.4) + 1e2'
     """
-    return _WORD.sub(lambda found: f"({names[found[0]]!r})" if found[0] in names else found[0], formula)
+    return _WORD.sub(lambda match: f"({names[match[0]]!r})" if match[0] in names else match[0], formula)
 
 
 TIME = "t"  # time of an animation: 0 in the first frame and in stills, 1 in the last
@@ -72,7 +72,7 @@ def named_numbers(data: Mapping[str, Any], source: str) -> dict[str, float]:
         raise RecipeError(f"{source}: {NUMBERS} = {show_value(table)} should be a table of names and numbers")
     if len(table) > MAX_NUMBERS:
         raise RecipeError(f"{source}: {NUMBERS} holds {len(table)} names; at most {MAX_NUMBERS} are allowed")
-    found = {TIME: 0.0}
+    numbers = {TIME: 0.0}
     for name, value in table.items():
         if not _NAME.match(str(name)) or name in RESERVED:
             raise RecipeError(
@@ -81,8 +81,8 @@ def named_numbers(data: Mapping[str, Any], source: str) -> dict[str, float]:
             )
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(float(value)):
             raise RecipeError(f"{source}: {NUMBERS}.{name} = {show_value(value)} should be a number")
-        found[str(name)] = float(value)
-    return found
+        numbers[str(name)] = float(value)
+    return numbers
 
 
 def refuse_new_number(data: Mapping[str, Any], path: str, source: str) -> None:
@@ -372,7 +372,7 @@ def place_formula(thing: Any) -> str | None:
         parts = [getattr(thing, field.name) for field in dataclasses.fields(thing)]
     else:
         parts = list(thing) if isinstance(thing, list | tuple) else []
-    return next((found for part in parts if (found := place_formula(part)) is not None), None)
+    return next((formula for part in parts if (formula := place_formula(part)) is not None), None)
 
 
 def at_the_middle(thing: Any) -> Any:

@@ -207,8 +207,8 @@ def _projected_lobe(lobe: Lobe, matrix: Array) -> Lobe:
         return dataclasses.replace(lobe, wavelengths_nm=CHANNELS, inner=inner)
     if lobe.kind not in LINEAR_KINDS:
         return _tabulated(lobe, matrix)
-    found: Lobe = _projected(lobe, matrix)
-    return found
+    projected: Lobe = _projected(lobe, matrix)
+    return projected
 
 
 def _tabulated(lobe: Lobe, matrix: Array) -> TableLobe:
@@ -233,11 +233,11 @@ def _tabulated(lobe: Lobe, matrix: Array) -> TableLobe:
     is_up = np.minimum(wi[..., 2], wo[..., 2]) > HORIZON
     values = np.zeros((*NODES, 3))
     for row in range(NODES[0]):  # one at a time saves memory
-        kept = is_up[row]
-        if not kept.any():
+        used = is_up[row]
+        if not used.any():
             values[row] = values[row - 1]
             continue
-        values[row][kept] = np.maximum(np.nan_to_num(lobe.evaluate(wi[row][kept], wo[row][kept])) @ matrix, 0.0)
+        values[row][used] = np.maximum(np.nan_to_num(lobe.evaluate(wi[row][used], wo[row][used])) @ matrix, 0.0)
     for column in range(1, NODES[1]):  # below the horizon: the last node above it
         values[:, column] = np.where(is_up[:, column, :, None], values[:, column], values[:, column - 1])
     return TableLobe(CHANNELS, values, np.eye(3), "half")

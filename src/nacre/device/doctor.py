@@ -77,8 +77,8 @@ def _rendering(state: VariantReport) -> list[Finding]:
 
     if state.llvm_used:
         wheel = f"{llvm.WHEEL} {llvm.wheel_version()}: " if llvm.from_wheel(state.llvm_used) else ""
-        found = f"{wheel}{state.llvm_used} (version {state.llvm_version or 'unknown'})"
-        findings = [Finding("LLVM", "ok", found)]
+        library = f"{wheel}{state.llvm_used} (version {state.llvm_version or 'unknown'})"
+        findings = [Finding("LLVM", "ok", library)]
     else:
         why = "; ".join(f"{probe.path or 'default'}: {probe.reason}" for probe in state.llvm_tried) or "none found"
         findings = [Finding("LLVM", "bad", why, state.advice)]

@@ -262,7 +262,7 @@ class DeviceGlints:
         Returns:
             its species, the slope (x, y) of its normal over the deviation, and the number of discs at the point.
         """
-        found = (mi.UInt32(0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0), mi.Float(sample))
+        disc = (mi.UInt32(0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0), mi.Float(sample))
         for k, row in enumerate(self.kinds):
 
             def body(
@@ -278,12 +278,12 @@ class DeviceGlints:
                 kind = dr.select(is_it, mi.UInt32(k), kind)
                 return n + 1, kind, dr.select(is_it, cx, sx), dr.select(is_it, cy, sy), count, left
 
-            state = (mi.UInt32(0), *found)
-            found = dr.while_loop(
+            state = (mi.UInt32(0), *disc)
+            disc = dr.while_loop(
                 state, lambda n, *rest, row=row: mi.Bool(active) & (n < row.discs), body,
                 ("n", "kind", "sx", "sy", "count", "left"), label="one glint",
             )[1:]  # fmt: skip
-        return found[:4]
+        return disc[:4]
 
     def factor_of(self, slot: Any, axes: Any, m: Any, si: Any, active: Any) -> Any:
         """Return g for a normal in its flake's frame, with the semi-axes `axes` of that species."""
@@ -292,8 +292,8 @@ class DeviceGlints:
         tx, ty = m.x / (z * axes.x), m.y / (z * axes.y)
         total = mi.Float(1.0)
         for k in range(len(self.kinds)):
-            mine = active & (slot == k)
-            total = dr.select(mine, self.factor(k, si.uv, tx, ty, mine), total)
+            of_species = active & (slot == k)
+            total = dr.select(of_species, self.factor(k, si.uv, tx, ty, of_species), total)
         return total
 
 

@@ -123,12 +123,12 @@ def use_llvm() -> Probe | None:
     if "drjit" in sys.modules:
         loaded = probe_library(os.environ.get(ENVIRONMENT_VARIABLE, ""))
         return loaded if loaded.works else None
-    found, _ = find_llvm()
-    if found is not None and found.path:
-        os.environ[ENVIRONMENT_VARIABLE] = found.path
-        for name in found.needs:
+    working, _ = find_llvm()
+    if working is not None and working.path:
+        os.environ[ENVIRONMENT_VARIABLE] = working.path
+        for name in working.needs:
             ctypes.CDLL(name)
-    return found
+    return working
 
 
 def use_gather_instructions() -> None:
@@ -174,10 +174,10 @@ def companions(path: str) -> list[str]:
     needed: list[str] = []
     for _ in range(20):
         missing = _missing_library([*needed, path])
-        found = next(iter(sorted(root.rglob(missing + ending))), None) if missing else None
-        if found is None or str(found) in needed:
+        library = next(iter(sorted(root.rglob(missing + ending))), None) if missing else None
+        if library is None or str(library) in needed:
             break
-        needed.insert(0, str(found))  # dependencies of a companion come first
+        needed.insert(0, str(library))  # dependencies of a companion come first
     return needed
 
 
@@ -194,12 +194,12 @@ def candidates() -> list[str]:
 
     Order: the environment variable's library, the wheel's (pinned version), installed libraries.
     """
-    given = os.environ.get(ENVIRONMENT_VARIABLE)
-    found: dict[str, str] = {}
+    named = os.environ.get(ENVIRONMENT_VARIABLE)
+    by_real_path: dict[str, str] = {}
     for path in _installed():
-        found.setdefault(os.path.realpath(path), path)
-    ranked = sorted((rank, path) for path in found.values() if (rank := _rank(path)) is not None)
-    listed = ([given] if given else []) + _wheel_libraries() + [path for _, path in ranked]
+        by_real_path.setdefault(os.path.realpath(path), path)
+    ranked = sorted((rank, path) for path in by_real_path.values() if (rank := _rank(path)) is not None)
+    listed = ([named] if named else []) + _wheel_libraries() + [path for _, path in ranked]
     return list(dict.fromkeys(listed)) + [""]
 
 

@@ -113,25 +113,25 @@ class LobeSum:
 
     def _sampled_matrix(self, ctx: Any, si: Any, bs: Any, active: Any) -> Any:
         """Return the normalised Mueller matrix of a sample."""
-        found = mi.mueller.depolarizer(mi.UnpolarizedSpectrum(1.0))
+        normalised = mi.mueller.depolarizer(mi.UnpolarizedSpectrum(1.0))
         if self.polarisation is None:
-            return found
+            return normalised
         is_delta = (bs.sampled_type & self._delta_flags) != 0
         if not all(self.delta):
             value = self.eval(ctx, si, bs.wo, active & negated(is_delta))
-            whole = value[0, 0]
-            share = dr.select(whole > 0.0, dr.rcp(larger(whole, 1e-30)), 0.0)
-            found = dr.select(is_delta, found, scaled(value, share))
+            total = value[0, 0]
+            share = dr.select(total > 0.0, dr.rcp(larger(total, 1e-30)), 0.0)
+            normalised = dr.select(is_delta, normalised, scaled(value, share))
         first = 0
         for plugin, delta in zip(self.plugins, self.delta, strict=True):
             last = first + len(plugin.components)
             if delta:
                 matrix = self._facet_matrix(plugin, ctx, si, bs.wo, active)
                 if matrix is not None:
-                    mine = (bs.sampled_component >= first) & (bs.sampled_component < last)
-                    found = dr.select(mine, matrix, found)
+                    is_own = (bs.sampled_component >= first) & (bs.sampled_component < last)
+                    normalised = dr.select(is_own, matrix, normalised)
             first = last
-        return found
+        return normalised
 
     def pdf(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
         si, wo = self._front_pair(si, wo)

@@ -271,10 +271,10 @@ def pick_line(number: Any) -> tuple[Any, Any]:
 
 def of_line(values: Any, line: Any) -> Any:
     """Return the value of a chosen wavelength."""
-    found = values[0]
+    value = values[0]
     for i in range(1, dr.size_v(mi.UnpolarizedSpectrum)):
-        found = dr.select(line == i, values[i], found)
-    return found
+        value = dr.select(line == i, values[i], value)
+    return value
 
 
 def set_transmission(bs: Any, reflects: Any, eta: Any) -> None:

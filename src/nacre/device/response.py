@@ -284,8 +284,8 @@ def _shares(response: InterfaceResponse) -> NDArray[np.float64]:
     """Return the reflection probability `[*params, row, 1, 1]`, at least `MIN_SHARE` from 0 and 1 if both occur."""
     stacked = _stacked(response, False).mean(axis=-2, keepdims=True)
     reflected, transmitted = stacked[..., :1], stacked[..., 1:]
-    whole = reflected + transmitted
-    share = np.where(whole > 0.0, reflected / np.where(whole > 0.0, whole, 1.0), 1.0)
+    total = reflected + transmitted
+    share = np.where(total > 0.0, reflected / np.where(total > 0.0, total, 1.0), 1.0)
     low, high = np.where(reflected > 0.0, MIN_SHARE, 0.0), np.where(transmitted > 0.0, 1.0 - MIN_SHARE, 1.0)
     return np.asarray(np.clip(share, low, high))
 

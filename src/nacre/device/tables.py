@@ -202,10 +202,10 @@ class DeviceTable:
         totals = None
         for index, weight in corners or [(None, None)]:
             at = row if index is None else index * self.rows_opaque + row
-            found = self._bilinear(at, fraction, where, active)
+            values = self._bilinear(at, fraction, where, active)
             if weight is not None:
-                found = [value * weight for value in found]
-            totals = found if totals is None else [a + b for a, b in zip(totals, found, strict=True)]
+                values = [value * weight for value in values]
+            totals = values if totals is None else [a + b for a, b in zip(totals, values, strict=True)]
         assert totals is not None
         return totals
 
@@ -233,21 +233,21 @@ class DeviceTable:
         total = mi.UnpolarizedSpectrum(0.0)
         for index, weight in corners or [(None, None)]:
             start = (row if index is None else index * self.rows_opaque + row) * self.row_stride
-            found = mi.UnpolarizedSpectrum(0.0)
+            values = mi.UnpolarizedSpectrum(0.0)
             for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
                 cell = start + low
                 if self.halves is not None:
                     words = dr.gather(mi.Vector2u, self.halves, cell * 2 + channel, active)
                     ends = [_between_halves(word, part) for word in words]
-                    found[k] = dr.lerp(ends[0], ends[1], fraction) * self.half_unit
+                    values[k] = dr.lerp(ends[0], ends[1], fraction) * self.half_unit
                     continue
                 if self.is_packed:
                     c = read4(self.packed, cell * self.channels + channel, active)
                 else:
                     cells = (cell, cell + 1, cell + self.row_stride, cell + self.row_stride + 1)
                     c = [read(self.packed, at * self.channels + channel, active) for at in cells]
-                found[k] = dr.lerp(dr.lerp(c[0], c[1], part), dr.lerp(c[2], c[3], part), fraction)
-            total = total + (found if weight is None else found * weight)
+                values[k] = dr.lerp(dr.lerp(c[0], c[1], part), dr.lerp(c[2], c[3], part), fraction)
+            total = total + (values if weight is None else values * weight)
         return total
 
     def _bilinear(self, row: Any, fraction: Any, where: Located, active: Any) -> list[Any]:
@@ -259,8 +259,8 @@ class DeviceTable:
                 words = dr.gather(mi.ArrayXu, self.halves, cell, active, shape=(4, dr.width(cell)))
                 ends = [_between_halves(word, part) for word in words]
                 for channel in range(2):
-                    found = dr.lerp(ends[2 * channel], ends[2 * channel + 1], fraction)
-                    results[channel][k] = found * self.half_unit
+                    result = dr.lerp(ends[2 * channel], ends[2 * channel + 1], fraction)
+                    results[channel][k] = result * self.half_unit
                 continue
             if self.is_packed:
                 for channel in range(self.channels):
@@ -387,9 +387,9 @@ DRJIT_OPERATIONS: dict[str, Callable[..., Any]] = {
 def _power(base: Any, exponent: Any) -> Any:
     """Return a power as numpy does: small integer exponents accept negative bases."""
     if isinstance(exponent, float) and exponent.is_integer() and abs(exponent) <= 64:
-        whole = int(abs(exponent))
+        count = int(abs(exponent))
         result = mi.Float(1.0)
-        for _ in range(whole):
+        for _ in range(count):
             result = result * base
         return result if exponent >= 0 else 1.0 / result
     return dr.exp(mi.Float(exponent) * dr.log(base))
@@ -501,10 +501,10 @@ class DeviceParameters:
             low, fraction = self.nodes[i].cell(position)
             high = low + (1 if self.sizes[i] > 1 else 0)
             axes.append(((low, 1.0 - fraction), (high, fraction)))
-        found = []
+        corners = []
         for choice in itertools.product(*axes):
             index, weight = choice[0]
             for i, (node, part) in enumerate(choice[1:], start=1):
                 index, weight = index * self.sizes_o[i] + node, weight * part
-            found.append((index, weight))
-        return found
+            corners.append((index, weight))
+        return corners

@@ -139,9 +139,9 @@ def check_set_variant(name: str) -> None:
 
 def _scalar_warning() -> str:
     """Return the reason for the slowest variant, and the remedy: an LLVM, or another import order."""
-    found, _ = llvm.find_llvm()
-    if found is not None and llvm.use_llvm() is None:
-        remedy = f"import nacre.render first, or set {llvm.ENVIRONMENT_VARIABLE}={found.path}"
+    working, _ = llvm.find_llvm()
+    if working is not None and llvm.use_llvm() is None:
+        remedy = f"import nacre.render first, or set {llvm.ENVIRONMENT_VARIABLE}={working.path}"
         reason = "mitsuba or drjit was imported before nacre.render, and the LLVM that it chose fails"
     else:
         reason, remedy = "no usable LLVM was found", "`nacre doctor` shows how to install LLVM"
@@ -178,11 +178,11 @@ def ray_failure(name: str = ON_GPU) -> str:
     try:
         mi.set_variant(name)
         scene = mi.load_dict({"type": "scene", "shape": {"type": "rectangle"}})
-        found = scene.ray_intersect(mi.Ray3f(mi.Point3f(0.0, 0.0, 2.0), mi.Vector3f(0.0, 0.0, -1.0)))
-        good = abs(float(found.t[0]) - 2.0) < 1e-3
+        hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(0.0, 0.0, 2.0), mi.Vector3f(0.0, 0.0, -1.0)))
+        good = abs(float(hit.t[0]) - 2.0) < 1e-3
     except Exception as error:  # drivers have various exceptions
-        said = str(error).strip() or type(error).__name__
-        return f"the GPU traces no rays (OptiX, a part of its driver): {said.splitlines()[0][:120]}"
+        text = str(error).strip() or type(error).__name__
+        return f"the GPU traces no rays (OptiX, a part of its driver): {text.splitlines()[0][:120]}"
     finally:
         if before is not None:
             mi.set_variant(before)
@@ -210,11 +210,11 @@ def llvm_failure() -> str:
         return ""
     if "drjit" in sys.modules:
         probe = llvm.probe_library(os.environ.get(llvm.ENVIRONMENT_VARIABLE, ""))
-        found, _ = llvm.find_llvm()
-        if found is not None:
+        working, _ = llvm.find_llvm()
+        if working is not None:
             return (
                 f"mitsuba or drjit was imported before nacre.render and its LLVM fails ({probe.reason}); import "
-                f"nacre.render first, or set {llvm.ENVIRONMENT_VARIABLE}={found.path}"
+                f"nacre.render first, or set {llvm.ENVIRONMENT_VARIABLE}={working.path}"
             )
     _, tried = llvm.find_llvm()
     named = [f"{probe.path or 'the default of drjit'}: {probe.reason}" for probe in tried]
@@ -236,9 +236,9 @@ class VariantReport:
 
 def report() -> VariantReport:
     """Examine the machine: best variant, failures, advice. A GPU is examined with its variant, then the best is set."""
-    found, tried = llvm.find_llvm()
-    path = (found.path or "default of drjit") if found else ""
-    version = found.version if found else ""
+    working, tried = llvm.find_llvm()
+    path = (working.path or "default of drjit") if working else ""
+    version = working.version if working else ""
     try:
         mi = import_mitsuba()
     except MachineError as error:

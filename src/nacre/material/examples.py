@@ -48,15 +48,15 @@ def examples() -> list[Example]:
         NacreError: the examples are not installed.
     """
     folder = examples_folder()
-    found = []
+    named = []
     for path in sorted(folder.rglob("*.toml")):
         if path.name in NO_RECIPES:
             continue
         text = read_text(path, "example")
         name = path.relative_to(folder).with_suffix("").as_posix()
         family = parse_toml(text, str(path)).get("family")
-        found.append(Example(name, str(family or "target"), _about(text), path, is_recipe=family is not None))
-    return sorted(found, key=lambda example: ("/" in example.name, example.name))
+        named.append(Example(name, str(family or "target"), _about(text), path, is_recipe=family is not None))
+    return sorted(named, key=lambda example: ("/" in example.name, example.name))
 
 
 def find_example(name: str) -> Path | None:
@@ -65,14 +65,14 @@ def find_example(name: str) -> Path | None:
         folder = examples_folder()
     except NacreError:
         return None
-    wanted = Path(name)
-    if wanted.is_absolute() or ".." in wanted.parts or wanted.suffix not in ("", ".toml"):
+    requested = Path(name)
+    if requested.is_absolute() or ".." in requested.parts or requested.suffix not in ("", ".toml"):
         return None
-    wanted = wanted if wanted.suffix == ".toml" else Path(f"{name}.toml")
-    if wanted.name in NO_RECIPES or not wanted.name:
+    requested = requested if requested.suffix == ".toml" else Path(f"{name}.toml")
+    if requested.name in NO_RECIPES or not requested.name:
         return None
     places = [folder, *sorted(place for place in folder.iterdir() if place.is_dir())]
-    return next((place / wanted for place in places if (place / wanted).is_file()), None)
+    return next((place / requested for place in places if (place / requested).is_file()), None)
 
 
 def resolve_recipe_path(path: str | Path) -> Path:
@@ -83,13 +83,13 @@ def resolve_recipe_path(path: str | Path) -> Path:
     """
     if os.path.lexists(path):
         return Path(path)
-    found = find_example(str(path))
+    example = find_example(str(path))
     beside = f"{path}.toml"
-    if found is None and os.path.isfile(beside):
+    if example is None and os.path.isfile(beside):
         raise NacreError(f'{path}: does not exist, as a file or as an example. Did you mean "{beside}"?')
-    if found is None and not Path(path).suffix and (meant := did_you_mean(str(path), _words())):
+    if example is None and not Path(path).suffix and (meant := did_you_mean(str(path), _words())):
         raise NacreError(f"{path}: does not exist, as a file or as an example.{meant}")
-    return found or Path(path)
+    return example or Path(path)
 
 
 def _words() -> set[str]:
@@ -137,7 +137,7 @@ def copy_examples(names: list[str], to: Path) -> list[Path]:
 
 def _named_files(path: Path) -> list[Path]:
     """Return the files that an example names, recursively."""
-    found: list[Path] = []
+    files: list[Path] = []
 
     def walk(value: object) -> None:
         if isinstance(value, dict):
@@ -148,13 +148,13 @@ def _named_files(path: Path) -> list[Path]:
                 walk(inner)
         elif isinstance(value, str) and "\n" not in value and len(value) < 200:
             beside = path.parent / value
-            if beside.suffix and beside.is_file() and beside not in found:
-                found.append(beside)
+            if beside.suffix and beside.is_file() and beside not in files:
+                files.append(beside)
                 if beside.suffix == ".toml":
-                    found.extend(_named_files(beside))
+                    files.extend(_named_files(beside))
 
     walk(parse_toml(read_text(path, "example"), str(path)))
-    return [place.resolve() for place in found]
+    return [place.resolve() for place in files]
 
 
 def _about(text: str) -> str:

@@ -170,10 +170,10 @@ class Material:
         if isinstance(self.model, StoredBsdf) or self.context.ambient is not None:
             return self.model.bsdf(grid)  # solved already, or part of another material, which is cached as a whole
         key = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
-        found = cached(key, lambda: self.model.bsdf(grid), _load_entry, _save_entry if keep else _discard)
-        for warning in found.provenance.get("warnings", ()):
+        bsdf = cached(key, lambda: self.model.bsdf(grid), _load_entry, _save_entry if keep else _discard)
+        for warning in bsdf.provenance.get("warnings", ()):
             _warn_once(self.context.source, warning)
-        return found
+        return bsdf
 
     def values_at(
         self, wi: Array, wo: Array, wavelengths_nm: Array | None = None
@@ -234,18 +234,18 @@ class Material:
             what = f"a spectrum of {len(theta)} angles x {count} wavelengths"
             check_memory(float(BYTES_PER_VALUE) * len(theta) * count, what)
         with self._named_errors():
-            found = self._solved_spectrum(theta, grid, polarisation, seed, azimuth_deg)
-        if grid is None and found is not None and isinstance(self.model, Diffracting):
-            said = sampling_warning(np.stack(list(found.parts().values())), found.wavelengths_nm)
-            if said:
-                _warn_once(self.context.source, said)
-        if found is None:
+            spectrum = self._solved_spectrum(theta, grid, polarisation, seed, azimuth_deg)
+        if grid is None and spectrum is not None and isinstance(self.model, Diffracting):
+            remark = sampling_warning(np.stack(list(spectrum.parts().values())), spectrum.wavelengths_nm)
+            if remark:
+                _warn_once(self.context.source, remark)
+        if spectrum is None:
             if polarisation != "both":
                 traits = self.model.traits
                 raise UnsupportedError(f"{self.context.source}: a {traits.noun} {traits.unpolarised_reason}")
-            found = bsdf_spectrum(self._solved(grid), theta, seed=seed)
-        self._warn_of_excess(found)
-        return found
+            spectrum = bsdf_spectrum(self._solved(grid), theta, seed=seed)
+        self._warn_of_excess(spectrum)
+        return spectrum
 
     @contextlib.contextmanager
     def _named_errors(self) -> Iterator[None]:
@@ -418,10 +418,10 @@ def _load_entry(path: Path) -> Bsdf:
     Raises:
         NacreError: the file is damaged, or belongs to another key.
     """
-    found = Bsdf.load(path)
-    if found.provenance.get(ENTRY) != path.stem:
+    bsdf = Bsdf.load(path)
+    if bsdf.provenance.get(ENTRY) != path.stem:
         raise NacreError(f"{path}: belongs to another key")
-    return replace(found, provenance={key: value for key, value in found.provenance.items() if key != ENTRY})
+    return replace(bsdf, provenance={key: value for key, value in bsdf.provenance.items() if key != ENTRY})
 
 
 def _discard(bsdf: Bsdf, path: Path) -> None:
@@ -585,10 +585,10 @@ def as_material(thing: MaterialLike) -> Material:
         UnsupportedError: another type.
         NacreError: there is no such material, or it is not valid.
     """
-    found = loaded(thing)
-    if not callable(getattr(found, "bsdf", None)):
+    ready = loaded(thing)
+    if not callable(getattr(ready, "bsdf", None)):
         raise UnsupportedError(f"{thing!r:.60} is not a material, no path or name of one and no table of a recipe")
-    return cast(Material, found)
+    return cast(Material, ready)
 
 
 def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Material:

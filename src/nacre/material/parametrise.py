@@ -121,12 +121,12 @@ class Parametrisation:
         for path, value in values.items():
             place = self._places[path]
             _set_copied(data, path, value, self._context.source)
-            given: Any = value
+            plain: Any = value
             if place.below:
-                given = _at(data, place.raw)
+                plain = _at(data, place.raw)
             if place.factor != 1.0:
-                given = scale_length(given, place.factor)
-            changed.setdefault(place.owner, {})[place.field] = place.check(given)
+                plain = scale_length(plain, place.factor)
+            changed.setdefault(place.owner, {})[place.field] = place.check(plain)
         top = _rebuilt(self._top, changed, self._context)
         return type(self._start)(top.build(self._context), data, self._context)
 
@@ -158,20 +158,20 @@ def _locate(top: RecipeModel, keys: Keys, context: RecipeContext) -> _Place | No
     """Return where a path lies in the validated recipe, or None if its tables are written in another form."""
     value: Any = top
     steps: list[Any] = []
-    found: _Place | None = None
+    place: _Place | None = None
     for number, key in enumerate(keys):
         if isinstance(value, RecipeModel):
             fields = type(value).model_fields
             field = next((way for way in spellings(str(key)) if way in fields), None)
             if field is None or fields[field].alias:
                 break
-            if found is not None and found.factor != 1.0:
+            if place is not None and place.factor != 1.0:
                 return None  # the table below was scaled with the length that it replaces
             factor = length_factor(key, field) if key != field else 1.0
             check = _field_check(type(value), field, context)
             if check is None:
                 return None
-            found = _Place(tuple(steps), field, keys[number + 1 :], keys[: number + 1], factor, check)
+            place = _Place(tuple(steps), field, keys[number + 1 :], keys[: number + 1], factor, check)
             value = getattr(value, field)
             steps.append(field)
         elif isinstance(value, tuple | list) and isinstance(key, int) and key < len(value):
@@ -179,7 +179,7 @@ def _locate(top: RecipeModel, keys: Keys, context: RecipeContext) -> _Place | No
             steps.append(key)
         else:
             break
-    return found
+    return place
 
 
 def _field_check(model: type[RecipeModel], field: str, context: RecipeContext) -> Callable[[Any], Any] | None:
@@ -203,13 +203,13 @@ def _field_check(model: type[RecipeModel], field: str, context: RecipeContext) -
 
 def _after_checks(model: type[RecipeModel]) -> list[Callable[[Any, Any], Any]]:
     """Return a table's checks that run once its fields are valid."""
-    found: list[Callable[[Any, Any], Any]] = []
+    checks: list[Callable[[Any, Any], Any]] = []
     for decorator in model.__pydantic_decorators__.model_validators.values():
         if decorator.info.mode == "after":
             check = getattr(decorator.func, "__func__", decorator.func)
             count = check.__code__.co_argcount
-            found.append(check if count > 1 else _without_info(check))
-    return found
+            checks.append(check if count > 1 else _without_info(check))
+    return checks
 
 
 def _without_info(check: Callable[[Any], Any]) -> Callable[[Any, Any], Any]:

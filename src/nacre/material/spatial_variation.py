@@ -80,10 +80,10 @@ class Varying(Model):
         for path, table in tables.items():
             spec = validate(TextureSpec, table, replace(context, source=f"{context.source}: {path}"))
             numbers.append(Number(path, spec.build(context, path)))
-        found = cls(tuple(numbers), fixed)
+        made = cls(tuple(numbers), fixed)
         for corner in itertools.product(*((n.texture.low, n.texture.high) for n in numbers)):
-            fixed(found._values(corner))
-        return found
+            fixed(made._values(corner))
+        return made
 
     def _values(self, values: tuple[float, ...]) -> dict[str, float]:
         return {number.path: float(value) for number, value in zip(self.numbers, values, strict=True)}
@@ -165,8 +165,8 @@ class Varying(Model):
         """The material's figures at the surface centre."""
         middle = np.array([0.5, 0.5])
         values = tuple(float(number.texture(middle)) for number in self.numbers)
-        found: Mapping[str, Figure] = self.fixed(self._values(values)).model.figures
-        return found
+        figures: Mapping[str, Figure] = self.fixed(self._values(values)).model.figures
+        return figures
 
 
 def node_colours(material: Any) -> Array:
@@ -240,13 +240,13 @@ def number_maps(material: Any) -> list[NumberMap]:
     Raises:
         RecipeError: an image cannot be read.
     """
-    found = []
+    maps = []
     for path, table in _images(material.data):
         grey = read_grey(material.context.path(table["texture"]), f"{material.context.source}: {path}.texture")
         factor = LENGTH_UNITS_NM.get(path.rpartition("_")[2], 0.0)
         low, high = (float(table[end]) * (factor or 1.0) for end in ("min", "max"))
-        found.append(NumberMap(path, low + (high - low) * grey, low, high, "nm" if factor else ""))
-    return found
+        maps.append(NumberMap(path, low + (high - low) * grey, low, high, "nm" if factor else ""))
+    return maps
 
 
 def _images(data: Any, path: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:

@@ -110,8 +110,8 @@ def _coefficient(g: ComplexArray, psi: NDArray[Any], xi: ComplexArray) -> Comple
 def _riccati_bessel(x: NDArray[Any], lmax: int) -> tuple[NDArray[Any], ComplexArray]:
     """Return psi_l(x) and xi_l(x) = psi - i chi, `[l, ...]`, l = 0..lmax, for x on or near the real axis."""
     is_real = not np.iscomplexobj(x)
-    found = _regular_log_derivatives(x.astype(complex), lmax)
-    log_derivatives: NDArray[Any] = found.real if is_real else found
+    derivatives = _regular_log_derivatives(x.astype(complex), lmax)
+    log_derivatives: NDArray[Any] = derivatives.real if is_real else derivatives
     chi: NDArray[Any] = np.empty((lmax + 1, *x.shape), dtype=x.dtype)
     psi = np.empty_like(chi)
     chi_before, chi[0], psi[0] = -np.sin(x), np.cos(x), np.sin(x)

@@ -253,8 +253,8 @@ class Microfacet(ResponseLobe):
         alpha_x, alpha_y = map(float, self._widths(uv, ()))
         w = w * np.array([1.0, 1.0, -1.0]) if inside else w
         m, measure = normal_quadrature(self.distribution, alpha_x, alpha_y, nodes)
-        seen = m @ w > 0
-        m, measure = m[seen], measure[seen]
+        is_visible = m @ w > 0
+        m, measure = m[is_visible], measure[is_visible]
         w_m = m @ w
         side = np.array([-1.0, -1.0, 1.0]) if inside else np.ones(3)  # w and m are mirrored
         reflected, transmitted = self.facet_powers(np.broadcast_to(-side * w if inside else w, m.shape), side * m, uv)
@@ -427,8 +427,8 @@ class Diffuse(Lobe):
         way_in = interpolate(self.entry, (*coords, np.maximum(cos_i, 0) * nodes))
         way_out = interpolate(self.entry, (*coords, np.maximum(cos_o, 0) * nodes))
         scale = interpolate(self.scale, coords) if coords else self.scale
-        seen = ((cos_i > 0) & (cos_o > 0))[..., None]
-        return np.where(seen, scale * way_in * way_out / np.pi, 0.0)
+        is_visible = ((cos_i > 0) & (cos_o > 0))[..., None]
+        return np.where(is_visible, scale * way_in * way_out / np.pi, 0.0)
 
     def smooth_albedo(self, cos_i: Array, uv: Array | None = None) -> Array:
         """Return `under_smooth` at cosines `[...]` in the ambient, `[..., wavelength]`.

@@ -245,8 +245,8 @@ def _last(lobe: Layered, inside: Array, n: Array, stratum: int, far: int, uv: Ar
         nodes = np.linspace(0.0, 1.0, len(table))
         reflect = np.stack([np.interp(cos, nodes, table[:, k]) for k in range(bands)], axis=1)
     for inner in lobe.base_lobes:
-        found = inner.specular(cos, uv).reflectance
-        reflect += np.stack([np.interp(lobe.wavelengths_nm, inner.wavelengths_nm, row) for row in found])
+        specular = inner.specular(cos, uv).reflectance
+        reflect += np.stack([np.interp(lobe.wavelengths_nm, inner.wavelengths_nm, row) for row in specular])
     return reflect, np.zeros((lanes, bands))
 
 

@@ -123,8 +123,8 @@ def _accumulate(table, row, weight, harmonics, out):
 
 
 @compiled(nogil=True)
-def _combine(wi, wo, smooth, bare, grid, spectrum, out):
-    """Multiply `smooth` by the structure factor, add `bare`, and scale to f; negative series values count as 0."""
+def _combine(wi, wo, smooth, unordered, grid, spectrum, out):
+    """Multiply `smooth` by the structure factor, add `unordered`, and scale to f; negative series values count as 0."""
     last_cos, eta = grid
     wavenumbers, index, step, s = spectrum
     gi, go = (0 if wi[2] > 0.0 else 1), (0 if wo[2] > 0.0 else 1)
@@ -140,7 +140,7 @@ def _combine(wi, wo, smooth, bare, grid, spectrum, out):
         x = wavenumbers[l] * np.sqrt(max(q2, 0.0)) / step
         j = int(x)
         factor = 1.0 if j >= last else s[j] + (x - j) * (s[j + 1] - s[j])
-        out[l] = scale * (max(smooth[l], 0.0) * factor + max(bare[l], 0.0))
+        out[l] = scale * (max(smooth[l], 0.0) * factor + max(unordered[l], 0.0))
 
 
 @dataclass(frozen=True)
@@ -238,7 +238,7 @@ def _evaluate_harmonic(wi, wo, tables, free, grids, grid, spectrum, out):
     """Fill `out`; `tables` and `free` are the pairs above, across and below."""
     harmonics, count, eta = tables[0].shape[1], tables[0].shape[2], grid[1]
     cosines = np.empty(harmonics)
-    smooth, bare = np.empty(count), np.empty(count)
+    smooth, unordered = np.empty(count), np.empty(count)
     above = grids[0, 0] + grids[0, 1]
     for n in range(wi.shape[0]):
         is_above = wi[n, 2] > 0.0 and wo[n, 2] > 0.0
@@ -256,7 +256,7 @@ def _evaluate_harmonic(wi, wo, tables, free, grids, grid, spectrum, out):
         for k in range(2, harmonics):
             cosines[k] = 2.0 * c * cosines[k - 1] - cosines[k - 2]
         smooth[:] = 0.0
-        bare[:] = 0.0
+        unordered[:] = 0.0
         for number in range(3):
             a, b, weight = _corner(number, i0, o0, fi, fo)
             if weight == 0.0:
@@ -267,8 +267,8 @@ def _evaluate_harmonic(wi, wo, tables, free, grids, grid, spectrum, out):
                 row = max(a, b) * (max(a, b) + 1) // 2 + min(a, b)
             _accumulate(tables[gi + go], row, weight, cosines, smooth)
             if free[gi + go].shape[0]:
-                _accumulate(free[gi + go], row, weight, cosines, bare)
-        _combine(wi[n], wo[n], smooth, bare, grid, spectrum, out[n])
+                _accumulate(free[gi + go], row, weight, cosines, unordered)
+        _combine(wi[n], wo[n], smooth, unordered, grid, spectrum, out[n])
 
 
 @dataclass(frozen=True)
@@ -344,7 +344,7 @@ def pack_triangle(full: NDArray) -> SingleArray:
 def _evaluate_aligned(wi, wo, table, orders, rotation, grids, grid, spectrum, out):
     terms, count, eta = table.shape[1], table.shape[2], grid[1]
     waves = np.empty(terms)
-    smooth, bare = np.empty(count), np.zeros(count)
+    smooth, unordered = np.empty(count), np.zeros(count)
     above = grids[0, 0] + grids[0, 1]
     for n in range(wi.shape[0]):
         is_above = wi[n, 2] > 0.0 and wo[n, 2] > 0.0
@@ -367,7 +367,7 @@ def _evaluate_aligned(wi, wo, table, orders, rotation, grids, grid, spectrum, ou
             a, b, weight = _corner(number, high, low, fh, fl)
             if weight != 0.0:
                 _accumulate(table, a * (a + 1) // 2 + b, weight, waves, smooth)
-        _combine(wi[n], wo[n], smooth, bare, grid, spectrum, out[n])
+        _combine(wi[n], wo[n], smooth, unordered, grid, spectrum, out[n])
 
 
 @dataclass(frozen=True)
@@ -401,8 +401,8 @@ class Aligned(MonolayerLobe):
             raise ValueError(f"table has the shape {self.table.shape}, for {nodes} angles")
         if self.orders.shape != (self.table.shape[1], 3) or not len(self.orders):
             raise ValueError(f"orders has the shape {self.orders.shape}, for {self.table.shape[1]} terms")
-        whole = np.array_equal(self.orders, np.round(self.orders)) and np.abs(self.orders).max() <= HIGHEST_ORDER
-        if not whole or not np.isin(self.orders[:, 2], (0, 1)).all() or not np.isfinite(self.rotation):
+        is_valid = np.array_equal(self.orders, np.round(self.orders)) and np.abs(self.orders).max() <= HIGHEST_ORDER
+        if not is_valid or not np.isin(self.orders[:, 2], (0, 1)).all() or not np.isfinite(self.rotation):
             raise ValueError(f"orders are not integers, or above {HIGHEST_ORDER}")
 
     def _evaluate(self, wi: Array, wo: Array, out: Array) -> None:
@@ -483,11 +483,11 @@ def _encoded(rows: NDArray, packets: int, words: int) -> EncodedSeries:
                 low += share
         for number in range(PACKET):
             fields.append(places[number])
-            bits_kept = places[number][2]
-            units.append(part[number] / _top(bits_kept) * 2.0 ** (bits_kept - WORD))
+            bit_count = places[number][2]
+            units.append(part[number] / _top(bit_count) * 2.0 ** (bit_count - WORD))
     error = _decoded(packed, np.array(units), fields) - target
-    wrong, whole = (np.sqrt(np.sum(x**2, axis=(0, 1))) for x in (error, target))
-    rounding = float(np.max(wrong / np.maximum(whole, 1e-30)))
+    wrong, total = (np.sqrt(np.sum(x**2, axis=(0, 1))) for x in (error, target))
+    rounding = float(np.max(wrong / np.maximum(total, 1e-30)))
     return EncodedSeries(packed, np.array(units) * largest, fields, rounding)
 
 
@@ -513,10 +513,10 @@ def _top(bits: int) -> float:
 
 def _shared_bits(sizes: Array, room: int) -> list[int]:
     """Return the bit counts of numbers in one word: one more bit for each factor of two in size."""
-    wish = np.log2(np.maximum(sizes, 1e-9))
+    needed = np.log2(np.maximum(sizes, 1e-9))
     bits = np.full(len(sizes), LEAST_BITS)
     for _ in range(room - LEAST_BITS * len(sizes)):
-        bits[int(np.argmax(wish - bits))] += 1  # give the bit to the coarsest field
+        bits[int(np.argmax(needed - bits))] += 1  # give the bit to the coarsest field
     return [int(b) for b in bits]
 
 

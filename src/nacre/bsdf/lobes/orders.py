@@ -211,8 +211,8 @@ class OrdersLobe(Lobe):
         exits = shifts - self.eta * turned[:2]  # [order, wavelength, 2], above
         cos2 = 1.0 - np.sum(exits**2, axis=-1)
         way = np.concatenate([exits, np.sqrt(np.maximum(cos2, 0.0))[..., None]], axis=-1)
-        found = self.efficiencies(way, tuple(np.full(cos2.shape, c) for c in coordinates))
-        own = np.einsum("owow->ow", found)
+        efficiencies = self.efficiencies(way, tuple(np.full(cos2.shape, c) for c in coordinates))
+        own = np.einsum("owow->ow", efficiencies)
         return nothing, np.sum(np.where(cos2 > 0.0, own, 0.0), axis=0)
 
 
@@ -228,13 +228,13 @@ def limited_width(width: float, lattice: Array, shortest_nm: float) -> float:
 
 def order_lobes(lobes: Iterable[Lobe]) -> list[OrdersLobe]:
     """Return the lobes with diffraction orders, also those under masks."""
-    found = []
+    lobes_of = []
     for lobe in lobes:
         while isinstance(lobe, MaskedLobe):
             lobe = lobe.inner
         if isinstance(lobe, OrdersLobe):
-            found.append(lobe)
-    return found
+            lobes_of.append(lobe)
+    return lobes_of
 
 
 def narrowest_nm(lobes: Iterable[Lobe]) -> float:

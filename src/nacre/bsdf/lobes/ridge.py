@@ -86,8 +86,8 @@ class Ridge(ResponseLobe):
             across, psi[..., 2], self.wavelengths_nm, self.pitch_nm, self.width_nm, self.height_deviation_nm, self.count
         )
         spread = spread * gaussian(along, self.spread_along)[..., None]
-        seen = ((wi[..., 2] > 0) & (wo[..., 2] > 0))[..., None]
-        return np.where(seen, self.fill * reflected * spread / self.norm, 0.0)
+        is_visible = ((wi[..., 2] > 0) & (wo[..., 2] > 0))[..., None]
+        return np.where(is_visible, self.fill * reflected * spread / self.norm, 0.0)
 
     def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
         """Integrate over all exits, for light along one `wi[3]`; see `Lobe.hemispherical`.
@@ -211,11 +211,11 @@ class RidgeTable(Lobe):
         c = np.minimum(0.5 * np.abs(y_i - y_o), 1.0)
         chord = np.sqrt(np.maximum(1.0 - c * c, LEAST_CHORD**2))
         a, b = x_i / chord, x_o / chord
-        seen = (wi[..., 2] > 0) & (wo[..., 2] > 0) & (np.abs(a) <= 1.0) & (np.abs(b) <= 1.0)
+        is_visible = (wi[..., 2] > 0) & (wo[..., 2] > 0) & (np.abs(a) <= 1.0) & (np.abs(b) <= 1.0)
         last = 0.5 * (self.power.shape[1] - 1)
         at = c * (self.power.shape[0] - 1), (np.clip(a, -1, 1) + 1.0) * last, (np.clip(b, -1, 1) + 1.0) * last
         spread = gaussian(y_i + y_o, self.spread_along) * self.fill / chord
-        return np.asarray(np.where(seen[..., None], interpolate(self.power, at) * spread[..., None], 0.0))
+        return np.asarray(np.where(is_visible[..., None], interpolate(self.power, at) * spread[..., None], 0.0))
 
     def _angle(self, uv: Array | None, shape: tuple[int, ...]) -> Array:
         if self.rotation is None:

@@ -299,13 +299,13 @@ def _shares(
                 z0, z1 = min(max(centre - 1, 0), nz - 1), min(max(centre, 0), nz - 1)
                 z2 = min(max(centre + 1, 0), nz - 1)
                 length = u * u + v * v + xi * xi
-                bare = length * length / (xi * xi) if is_kirchhoff else xi * xi
-                bare *= width * width * inverse_cosine / (4.0 * cos_i)
+                geometry = length * length / (xi * xi) if is_kirchhoff else xi * xi
+                geometry *= width * width * inverse_cosine / (4.0 * cos_i)
                 g = min(0.5 * np.sqrt(length), 1.0) * last
                 low = min(int(g), last - 1)
                 f = g - low
                 for m in range(count):
-                    factor[m] = bare * (reflectance[low, m] * (1.0 - f) + reflectance[low + 1, m] * f)
+                    factor[m] = geometry * (reflectance[low, m] * (1.0 - f) + reflectance[low + 1, m] * f)
                 t = np.sqrt(cos_o) * (cosines - 1)
                 t0 = min(int(t), cosines - 2)
                 upper = np.float32(t - t0)

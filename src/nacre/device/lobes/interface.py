@@ -220,24 +220,24 @@ class Compensation:
         """
         crosses = wo.z < 0.0
         cos = dr.abs(wo.z)
-        seen = active & (cos > plugin.MIN_COS)
+        is_visible = active & (cos > plugin.MIN_COS)
         if self.sides == 1:
-            seen = seen & plugin.negated(crosses)
+            is_visible = is_visible & plugin.negated(crosses)
         if not all(enabled):
-            seen = seen & dr.select(crosses, mi.Bool(len(enabled) > 1 and enabled[1]), mi.Bool(enabled[0]))
+            is_visible = is_visible & dr.select(crosses, mi.Bool(len(enabled) > 1 and enabled[1]), mi.Bool(enabled[0]))
         goes_inside = inside ^ crosses
         loss_i = self._loss_at(si, wi, inside, active)
-        loss_o = self._loss_at(si, wo, goes_inside, seen)
+        loss_o = self._loss_at(si, wo, goes_inside, is_visible)
         corners = self.parameters.corners(si, active) or [(mi.UInt32(0), None)]
         light_inside, eye_inside = (goes_inside, inside) if radiance else (inside, goes_inside)
         light = mi.UInt32(dr.select(light_inside, 1, 0)) if self.sides == 2 else mi.UInt32(0)
         corners = [(index * self.sides + light, weight) for index, weight in corners]
         to = dr.select(eye_inside, mi.Float(1.0), 0.0) if self.sides == 2 else mi.Float(0.0)
         where = self.axis.locate(si.wavelengths, active)
-        (exchange,) = self.exchange.look_up(mi.UInt32(0), to, where, corners, seen)
+        (exchange,) = self.exchange.look_up(mi.UInt32(0), to, where, corners, is_visible)
         stay = self._stay(inside, enabled)
-        density = dr.select(seen, cos * dr.inv_pi * dr.select(crosses, 1.0 - stay, stay), 0.0)
-        return self._share(loss_i), (exchange * loss_i * loss_o * cos) & seen, density
+        density = dr.select(is_visible, cos * dr.inv_pi * dr.select(crosses, 1.0 - stay, stay), 0.0)
+        return self._share(loss_i), (exchange * loss_i * loss_o * cos) & is_visible, density
 
     def _share(self, loss: Any) -> Any:
         """Return this term's probability: approximately the single-scattering loss."""
@@ -264,11 +264,11 @@ class Compensation:
         return value
 
 
-def _clipped(part: float, whole: float) -> float:
+def _clipped(part: float, total: float) -> float:
     """Return part / whole, limited such that both sides are sampled."""
-    if whole <= 0.0 or not math.isfinite(whole):
+    if total <= 0.0 or not math.isfinite(total):
         return 0.5
-    share = part / whole
+    share = part / total
     if share > 1.0 - 1e-9:
         return 1.0  # zero crossing
     return min(max(share, 0.05), 0.95)

@@ -93,11 +93,11 @@ class LayeredPlugin(LobePlugin):
         """
         if not dr.flag(dr.JitFlag.SymbolicScope):  # direct calls may repeat their arguments: independent walks
             return self.eval(ctx, si, wo, active, enabled), self.pdf(ctx, si, wo, active, enabled)
-        seen = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
-        enabled_lanes = seen & self._enabled_exit(si.wi, wo, enabled)
+        is_visible = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
+        enabled_lanes = is_visible & self._enabled_exit(si.wi, wo, enabled)
         rng = make_rng(si.p.x, si.p.y, si.p.z, si.wi.x, si.wi.y, si.wi.z, wo.x, wo.y, wo.z, si.wavelengths[0])
-        where = self.strata.locate(si, seen)
-        value, *drawn = joint_walk(self.strata, rng, si.wi, wo, where, seen, enabled_lanes)
+        where = self.strata.locate(si, is_visible)
+        value, *drawn = joint_walk(self.strata, rng, si.wi, wo, where, is_visible, enabled_lanes)
         self._pending = (si, drawn)
         return value, dr.select(enabled_lanes, self._density(si, wo, enabled_lanes), 0.0)
 

@@ -29,10 +29,10 @@ class _Shared(DeviceTexture):
 
 def _shared(texture: Texture) -> _Shared:
     key = (mi.variant(), id(texture))
-    found = _TEXTURES.get(key)
-    if found is None or found.source is not texture:
-        found = _TEXTURES[key] = _Shared(texture)
-    return found
+    shared = _TEXTURES.get(key)
+    if shared is None or shared.source is not texture:
+        shared = _TEXTURES[key] = _Shared(texture)
+    return shared
 
 
 class MaskedPlugin(LobePlugin[MaskedLobe]):

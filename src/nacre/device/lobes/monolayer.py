@@ -531,15 +531,15 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         Args:
             one, two: cosine and sine at each multiple of the azimuth of the first and second direction.
         """
-        found = []
+        waves = []
         for a, b, is_sine in self.orders.tolist():
             (cos_a, sin_a), (cos_b, sin_b) = one[abs(a)], two[abs(b)]
             sin_a, sin_b = (sin_a if a >= 0 else -sin_a), (sin_b if b >= 0 else -sin_b)
             if is_sine:
-                found.append(dr.fma(sin_a, cos_b, cos_a * sin_b))
+                waves.append(dr.fma(sin_a, cos_b, cos_a * sin_b))
             else:
-                found.append(dr.fma(cos_a, cos_b, -sin_a * sin_b))
-        return found + [mi.Float(0.0)] * (PACKET * self.packets - len(found))
+                waves.append(dr.fma(cos_a, cos_b, -sin_a * sin_b))
+        return waves + [mi.Float(0.0)] * (PACKET * self.packets - len(waves))
 
     def _powers(self, w: Any, sine: Any) -> list[tuple[Any, Any]]:
         """Return cosine and sine of the multiples (from 0) of an azimuth relative to the particles."""
@@ -547,11 +547,11 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         x = dr.select(sine > 1e-12, w.x * inverse, 1.0)
         y = dr.select(sine > 1e-12, w.y * inverse, 0.0)
         cos, sin = dr.fma(x, self.cos_turn, y * self.sin_turn), dr.fma(y, self.cos_turn, -x * self.sin_turn)
-        found = [(mi.Float(1.0), mi.Float(0.0)), (cos, sin)]
+        powers = [(mi.Float(1.0), mi.Float(0.0)), (cos, sin)]
         for _ in range(2, int(np.abs(self.orders[:, :2]).max()) + 1):
-            before, now = found[-2], found[-1]
-            found.append((2.0 * cos * now[0] - before[0], 2.0 * cos * now[1] - before[1]))
-        return found
+            before, now = powers[-2], powers[-1]
+            powers.append((2.0 * cos * now[0] - before[0], 2.0 * cos * now[1] - before[1]))
+        return powers
 
     def _pair(self, light: Any, eye: Any, sines: tuple[Any, Any], places: tuple[Any, ...]) -> tuple[Any, ...]:
         low_l, part_l, low_e, part_e = places
@@ -643,11 +643,11 @@ class BilinearDensity:
         cells = (height - 1) * (width - 1)
         cell = (row * faces + face) * cells + mi.UInt32(j) * (width - 1) + mi.UInt32(i)
         u, v = u - i, v - j
-        found = []
+        densities = []
         for step in (0, faces * cells):
             c = plugin.read4(self.cells, cell + step, active)
-            found.append(dr.lerp(dr.lerp(c[0], c[1], u), dr.lerp(c[2], c[3], u), v))
-        return dr.lerp(found[0], found[1], part)
+            densities.append(dr.lerp(dr.lerp(c[0], c[1], u), dr.lerp(c[2], c[3], u), v))
+        return dr.lerp(densities[0], densities[1], part)
 
     def _column(self, index: Any, active: Any) -> Any:
         if dr.is_jit_v(mi.Float):

@@ -106,8 +106,8 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
             bs.sampled_component = dr.select(is_mirror, mi.UInt32(1), mi.UInt32(0))
             delta = mi.UInt32(int(mi.BSDFFlags.DeltaReflection))
             bs.sampled_type = dr.select(is_mirror, delta, bs.sampled_type)
-            bare = mi.UnpolarizedSpectrum(mi.fresnel(wi.z, self.index)[0])
-            weight = dr.select(is_mirror, bare / dr.maximum(mirror, 1e-20), weight)
+            fresnel = mi.UnpolarizedSpectrum(mi.fresnel(wi.z, self.index)[0])
+            weight = dr.select(is_mirror, fresnel / dr.maximum(mirror, 1e-20), weight)
         return bs, weight
 
     def _by_flake(self, si: Any, sample1: Any, sample2: Any, active: Any) -> tuple[Any, Any]:
@@ -149,8 +149,8 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         """Return the widths of the one or two flake lobes around the outer half vector."""
         inner = self.index * dr.sqrt(1.0 - (1.0 - dr.square(wi.z)) * self.inverse2)
         bend = dr.square(inner - wi.z) * self.bend2 / (2.0 * dr.square(inner))
-        found = [dr.clip(inner / wi.z * dr.sqrt(w2 + bend), SMALLEST_ALPHA, MAX_ALPHA) for w2 in self.width2]
-        return found[0], (found[1] if len(found) > 1 else None)
+        widths = [dr.clip(inner / wi.z * dr.sqrt(w2 + bend), SMALLEST_ALPHA, MAX_ALPHA) for w2 in self.width2]
+        return widths[0], (widths[1] if len(widths) > 1 else None)
 
     # -- evaluation -------------------------------------------------------------------------------------
 
@@ -187,8 +187,8 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         if self.is_rough:
             facets = Ggx(self.alpha, self.alpha)
             own = 0.25 * facets.spread(wi, h, wi_h)
-            bare = mi.fresnel(wi_h, self.index)[0]
-            value = value + bare * own * facets.weight(wi, wo, h, wi_h, wi_h)
+            fresnel = mi.fresnel(wi_h, self.index)[0]
+            value = value + fresnel * own * facets.weight(wi, wo, h, wi_h, wi_h)
             pdf = pdf + surface_share * own
         return value & active, dr.select(active, pdf, 0.0)
 
@@ -224,8 +224,8 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         """Return g at the inside half vector with species weighted by their densities, the flake sampling density,
         and whether the point has flakes. Unresolved flakes count as absent."""
         assert self.glints is not None
-        apart = resolves_flakes(si)
-        active = active & apart
+        is_resolved = resolves_flakes(si)
+        active = active & is_resolved
         inner_i, inner_o, _, sx, sy = self._half(wi, wo)
         slope2 = sx * sx + sy * sy
         total, weights, draws, flakes = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
@@ -242,7 +242,7 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         turn = dr.abs((wi.x * sx + wi.y * sy) / self.index + inner_i)
         jacobian = dr.square(1.0 + slope2) * wo.z * self.inverse2 / (4.0 * dr.maximum(turn * inner_o, 1e-9))
         density = 0.5 * dr.inv_pi * draws / dr.maximum(flakes, 1.0) * jacobian
-        return dr.select(apart, total / weights, 1.0), density, flakes > 0.0
+        return dr.select(is_resolved, total / weights, 1.0), density, flakes > 0.0
 
     def _flakes(self, wi: Any, wo: Any, where: Any, active: Any) -> Any:
         """Read M at q, c and phi, and with glints its single-flake part."""

@@ -162,14 +162,14 @@ class RidgePlugin(ReflectingRidges[Ridge]):
         """Return the density of the sine across the ridges at one wavelength."""
         scale = math.pi * self.width / wavelength
         low, high = self.envelope.cdf((wi.x - limit) * scale), self.envelope.cdf((wi.x + limit) * scale)
-        whole = dr.maximum(high - low, 1e-12)
-        broad = self.envelope.density(across * scale, active) * scale / whole
+        width = dr.maximum(high - low, 1e-12)
+        broad = self.envelope.density(across * scale, active) * scale / width
         period = wavelength / self.pitch
         turns = across / period
         order = dr.round(turns)
         start = dr.maximum((order - 0.5) * period, wi.x - limit) * scale
         end = dr.minimum((order + 0.5) * period, wi.x + limit) * scale
-        in_order = dr.maximum(self.envelope.cdf(end) - self.envelope.cdf(start), 0.0) / whole
+        in_order = dr.maximum(self.envelope.cdf(end) - self.envelope.cdf(start), 0.0) / width
         narrow = in_order * self.comb.density(turns - order, active) / period
         return dr.lerp(broad, narrow, self._comb_share(wi, wavelength))
 

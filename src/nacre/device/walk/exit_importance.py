@@ -54,11 +54,11 @@ def rough_one(strata: Strata, interface: Any) -> Any:
     """Return whether an interface is rough."""
     if strata.all_rough:
         return mi.Bool(True)
-    found = mi.Bool(False)
+    is_one = mi.Bool(False)
     for i, is_rough in enumerate(strata.is_rough):
         if is_rough:
-            found |= interface == i
-    return found
+            is_one |= interface == i
+    return is_one
 
 
 def exit_importance(strata: Strata, rng: Any, wo: Any, where: Located, active: Any) -> Importance:
@@ -146,8 +146,8 @@ def _chain(
         elif not strata.is_rough[i]:
             side = min(i, count - 1)
             other = strata.indices[i] if side == i else strata.indices[i + 1]
-            bare = mi.fresnel(cosines[side], other / strata.indices[side + 1])[0]
-            reflect, rise, sink = mi.UnpolarizedSpectrum(bare), 1 - bare, 1 - bare
+            fresnel = mi.fresnel(cosines[side], other / strata.indices[side + 1])[0]
+            reflect, rise, sink = mi.UnpolarizedSpectrum(fresnel), 1 - fresnel, 1 - fresnel
         elif 0 < i < count:
             rise = dr.select(exits_above, passed_a[i], 0.0)
             if strata.base == "none":
@@ -300,9 +300,9 @@ def interface_value(strata: Strata, v: Any, w: Any, interface: Any, active: Any)
         back = strata.back.read(interface, active)
         w_above = w.z > 0
         share = dr.select(w_above, back[0] * back[1], (1 - back[0]) * back[2])
-        lost = strata.loss_at(interface, above, dr.abs(v.z), active)
+        compensation = strata.loss_at(interface, above, dr.abs(v.z), active)
         returned = strata.loss_at(interface, w_above, dr.abs(w.z), active) * dr.abs(w.z) * dr.inv_pi
-        value += dr.select(active & (row[2] + row[3] > 0) & (back[3] > 0.5), lost * share * returned, 0.0)
+        value += dr.select(active & (row[2] + row[3] > 0) & (back[3] > 0.5), compensation * share * returned, 0.0)
     return value
 
 

@@ -350,12 +350,12 @@ def uses_delta_tracking(lobe: Layered) -> bool:
             m = (axis / np.linalg.norm(axis) + point) * axes
             at = np.sqrt(np.abs(m @ v) / np.linalg.norm(m, axis=-1))
             row = np.minimum((at * (len(nodes) - 1) + 0.5).astype(int), len(nodes) - 1)
-            taken = float(np.mean(1.0 - response[row, :, 1]))
-            if taken > MAX_TAKEN:
+            absorbed = float(np.mean(1.0 - response[row, :, 1]))
+            if absorbed > MAX_TAKEN:
                 return False
             reflect = response[row, :, 0]
             spread = np.var(reflect.mean(axis=1)) + np.mean(np.var(reflect, axis=0)) / TOGETHER
-            rise[i] += number * spread / max(taken, 1e-6)
+            rise[i] += number * spread / max(absorbed, 1e-6)
     return bool(np.max(rise) <= MAX_RISE)
 
 

@@ -57,8 +57,8 @@ def sample_walk(strata: Strata, rng: Any, wi: Any, where: Located, active: Any) 
     where = where.on_nodes(rng.next_float32())
     entry = dr.select(wi.z > 0, mi.UInt32(0), mi.UInt32(strata.count))
     light, inside, active = _enter(strata, rng, wi, entry, active)
-    nothing, seen = mi.UnpolarizedSpectrum(0.0), rough_one(strata, entry)
-    d, weight, mirror, _, turn = _follow(strata, Stepper(strata, where), rng, light, inside, seen, nothing)
+    nothing, scattered = mi.UnpolarizedSpectrum(0.0), rough_one(strata, entry)
+    d, weight, mirror, _, turn = _follow(strata, Stepper(strata, where), rng, light, inside, scattered, nothing)
     return d, _with_glint(strata, turn, weight, where, active), mirror
 
 
@@ -134,7 +134,7 @@ def _connected(
 
 
 def _follow(
-    strata: Strata, stepper: Stepper, rng: Any, light: Walker, inside: Any, seen: Any, total: Any
+    strata: Strata, stepper: Stepper, rng: Any, light: Walker, inside: Any, scattered: Any, total: Any
 ) -> tuple[Any, Any, Any, Any, Any]:
     """Follow light until it leaves or is absorbed.
 
@@ -143,19 +143,19 @@ def _follow(
     """
 
     def body(*state: Any) -> tuple[Any, ...]:
-        d, stratum, depth, f, rng, inside, got, seen, events, *turn = state
+        d, stratum, depth, f, rng, inside, got, scattered, events, *turn = state
         now = Walker(d, stratum, depth, f, tuple(turn))
-        moved, still, _, gained, seen_now = stepper.step(now, rng, inside, seen)
+        moved, still, _, gained, scattered_now = stepper.step(now, rng, inside, scattered)
         if stepper.exit is not None:
             got = got + dr.select(inside, gained, 0.0)
         return (
             dr.select(inside, moved.d, d), dr.select(inside, moved.stratum, stratum),
             dr.select(inside, moved.depth, depth), dr.select(inside, moved.f, f), rng,
-            still & (events < MAX_EVENTS), got, seen_now, events + 1, *select(inside, moved.turn, now.turn),
+            still & (events < MAX_EVENTS), got, scattered_now, events + 1, *select(inside, moved.turn, now.turn),
         )  # fmt: skip
 
-    state = (light.d, light.stratum, light.depth, light.f, rng, inside, total, seen, mi.UInt32(0), *light.turn)
-    names = ("d", "stratum", "depth", "f", "rng", "inside", "got", "seen", "events", *TURN[: len(light.turn)])
+    state = (light.d, light.stratum, light.depth, light.f, rng, inside, total, scattered, mi.UInt32(0), *light.turn)
+    names = ("d", "stratum", "depth", "f", "rng", "inside", "got", "scattered", "events", *TURN[: len(light.turn)])
     result = dr.while_loop(state, lambda *s: s[5], body, names, label="pearl walk")
     weight = dr.select(result[8] < MAX_EVENTS, result[3], 0.0)
     return result[0], weight, ~result[7], result[6], result[9:]
@@ -174,7 +174,7 @@ class Stepper:
         # purely specular light lacks a previous vertex connected through a rough exit
         self.late = connection is not None and strata.any_rough and not strata.all_rough
 
-    def step(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any]:
+    def step(self, light: Walker, rng: Any, alive: Any, scattered: Any) -> tuple[Walker, Any, Any, Any, Any]:
         """Advance by several free paths up to a boundary, and by the event there.
 
         SIMD lanes wait for each other: several free paths share the arithmetic of one boundary.
@@ -183,17 +183,17 @@ class Stepper:
             the light, whether it is inside, whether it left, the contribution to the exit, vertex seen.
         """
         strata = self.strata
-        light, lives, gained, goes_up, goes_down, seen = self._flights(light, rng, alive, seen)
+        light, lives, gained, goes_up, goes_down, scattered = self._flights(light, rng, alive, scattered)
         v = -light.d
         new_d, new_f, depth = mi.Vector3f(light.d), mi.UnpolarizedSpectrum(light.f), light.depth
         at_base = goes_down & (light.stratum == self.last) if strata.base != "none" else mi.Bool(False)
         at_interface = (goes_up | goes_down) & ~at_base
         interface = dr.select(goes_up, light.stratum, light.stratum + 1)
         if self.inner_vertices or self.late:
-            gained += self._interface_gain(light, v, interface, at_interface, seen)
+            gained += self._interface_gain(light, v, interface, at_interface, scattered)
         w, through = interface_event(strata, rng, v, interface, at_interface)
         crosses = (w.z > 0) != (v.z > 0)
-        seen = seen | (at_interface & rough_one(strata, interface))
+        scattered = scattered | (at_interface & rough_one(strata, interface))
         outer = interface == 0
         if strata.base == "none":
             outer |= interface == strata.count
@@ -213,31 +213,31 @@ class Stepper:
             gained += dr.select(at_base, got, 0.0)
             depth = dr.select(at_base, 1.0, depth)
             if strata.base_scatters:
-                seen = seen | (at_base & turned)
+                scattered = scattered | (at_base & turned)
                 turn = scattered_by_other(turn, at_base & turned)
         moved_light = Walker(new_d, stratum, depth, dr.select(lives, new_f, 0.0), turn)
-        return moved_light, lives & ~leaves, leaves & lives, gained, seen
+        return moved_light, lives & ~leaves, leaves & lives, gained, scattered
 
-    def _flights(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
+    def _flights(self, light: Walker, rng: Any, alive: Any, scattered: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
         """Move to a boundary, or along `Strata.flights` free paths; results as `_fly`."""
         limit = self.strata.flights
         if limit == 1:
-            return self._fly(light, rng, alive, seen)
+            return self._fly(light, rng, alive, scattered)
 
         def body(*state: Any) -> tuple[Any, ...]:
-            d, depth, f, rng, flying, lives, gained, goes_up, goes_down, seen, count, *turn = state
+            d, depth, f, rng, flying, lives, gained, goes_up, goes_down, scattered, count, *turn = state
             now = Walker(d, light.stratum, depth, f, tuple(turn))
-            moved, survives, got, up, down, seen = self._fly(now, rng, flying, seen)
+            moved, survives, got, up, down, scattered = self._fly(now, rng, flying, scattered)
             return (
                 moved.d, moved.depth, moved.f, rng, survives & ~up & ~down, survives, gained + got,
-                up, down, seen, count + 1, *moved.turn,
+                up, down, scattered, count + 1, *moved.turn,
             )  # fmt: skip
 
         no = alive & mi.Bool(False)
         got, count = mi.UnpolarizedSpectrum(0.0), mi.UInt32(0)
-        state = (light.d, light.depth, light.f, rng, alive, alive, got, no, no, seen, count, *light.turn)
+        state = (light.d, light.depth, light.f, rng, alive, alive, got, no, no, scattered, count, *light.turn)
         names = (
-            "d", "depth", "f", "rng", "flying", "lives", "gained", "goes_up", "goes_down", "seen", "count",
+            "d", "depth", "f", "rng", "flying", "lives", "gained", "goes_up", "goes_down", "scattered", "count",
             *TURN[: len(light.turn)],
         )  # fmt: skip
         end = dr.while_loop(state, lambda *s: s[4] & (s[10] < limit), body, names, label="pearl flights")
@@ -245,13 +245,13 @@ class Stepper:
         moved = Walker(end[0], light.stratum, end[1], end[2], tuple(end[11:]))
         return moved, end[5], end[6], end[7], end[8], end[9]
 
-    def _fly(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
+    def _fly(self, light: Walker, rng: Any, alive: Any, scattered: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
         """Move along one free path, in the material's form; results as `delta_flight`."""
         if self.strata.uses_delta_tracking:
-            return delta_flight(self.strata, self.where, self.exit, light, rng, alive, seen)
-        return self._fly_near(light, rng, alive, seen)
+            return delta_flight(self.strata, self.where, self.exit, light, rng, alive, scattered)
+        return self._fly_near(light, rng, alive, scattered)
 
-    def _fly_near(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
+    def _fly_near(self, light: Walker, rng: Any, alive: Any, scattered: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
         """Move along a free path to a flake, to dye or to a boundary; results as `delta_flight`."""
         strata = self.strata
         v = -light.d
@@ -285,17 +285,17 @@ class Stepper:
             )
             new_d, new_f = dr.select(at_flake, d, new_d), dr.select(at_flake, f, new_f)
             lives &= ~at_flake | lives_f
-            seen = seen | (at_flake & turned)
+            scattered = scattered | (at_flake & turned)
             gained += dr.select(at_flake, got, 0.0)
         if strata.has_dye:
             d, f, lives_d, got, turned = self._dye(light, majorant, depth, rng, at_dye)
             new_d, new_f = dr.select(at_dye, d, new_d), dr.select(at_dye, f, new_f)
             lives &= ~at_dye | lives_d
-            seen = seen | (at_dye & turned)
+            scattered = scattered | (at_dye & turned)
             turn = scattered_by_other(turn, at_dye & turned)
             gained += dr.select(at_dye, got, 0.0)
         moved = Walker(new_d, light.stratum, dr.select(inside, depth, light.depth), new_f, turn)
-        return moved, lives, gained, goes_up, goes_down, seen
+        return moved, lives, gained, goes_up, goes_down, scattered
 
     def _flake(
         self, light: Walker, areas: list[Any], rows: list[Any], locals_: list[Any], total: Any, depth: Any, rng: Any,
@@ -362,15 +362,15 @@ class Stepper:
         f = dr.select(goes_on, f, f * phase / dr.maximum(mixed, TINY))
         return dr.select(goes_on, d, dr.normalize(turned)), f, lives, gained, lives & ~goes_on
 
-    def _interface_gain(self, light: Walker, v: Any, interface: Any, active: Any, seen: Any) -> Any:
+    def _interface_gain(self, light: Walker, v: Any, interface: Any, active: Any, scattered: Any) -> Any:
         strata = self.strata
         assert self.exit is not None
         total = mi.UnpolarizedSpectrum(0.0)
         if self.inner_vertices:
-            total += connect_interface(strata, self.exit, v, interface, active, ~seen, self.wo.z > 0)
+            total += connect_interface(strata, self.exit, v, interface, active, ~scattered, self.wo.z > 0)
         if self.late:
             outer = ((interface == 0) & (self.wo.z > 0)) | ((interface == strata.count) & (self.wo.z < 0))
-            first = outer & ~seen & active
+            first = outer & ~scattered & active
             total += dr.select(first, interface_value(strata, v, self.wo, interface, first), 0.0)
         return total * light.f
 
@@ -474,7 +474,7 @@ SMALLEST_RATE = 1e-9
 
 
 def delta_flight(
-    strata: Strata, where: Located, connection: Exit | None, light: Walker, rng: Any, alive: Any, seen: Any
+    strata: Strata, where: Located, connection: Exit | None, light: Walker, rng: Any, alive: Any, scattered: Any
 ) -> tuple[Walker, Any, Any, Any, Any, Any]:
     """Move along a free path to a reflecting or absorbing flake, or to a boundary.
 
@@ -538,7 +538,7 @@ def delta_flight(
     moved = Walker(direction, light.stratum, dr.select(inside, depth, light.depth), throughput, turn)
     leaves = alive & ~inside
     up = light.d.z > 0
-    return moved, alive & (~inside | lives), gained, leaves & up, leaves & ~up, seen | reflects
+    return moved, alive & (~inside | lives), gained, leaves & up, leaves & ~up, scattered | reflects
 
 
 def _slot_of(ways: list[Any], total: Any, shape: Any, rng: Any, active: Any) -> tuple[Any, ...]:
@@ -550,15 +550,15 @@ def _slot_of(ways: list[Any], total: Any, shape: Any, rng: Any, active: Any) -> 
     shape = shape / dr.maximum(total, TINY)
     parts = [dr.sum(shape * way[4]) for way in ways]
     part = parts[0]
-    whole = sum(parts[1:], parts[0])
-    left = rng.next_float32(active) * whole - part
+    summed = sum(parts[1:], parts[0])
+    left = rng.next_float32(active) * summed - part
     for i in range(1, len(ways)):
         take = (left >= 0) & (parts[i] > 0)
         row = list(select(take, tuple(ways[i][0]), tuple(row)))
         new = (*ways[i][1:], parts[i], mi.UInt32(i))
         local, mean, rate, share, part, slot = select(take, new, (local, mean, rate, share, part, slot))
         left -= parts[i]
-    return row, local, mean, rate, slot, shape * share * (whole / dr.maximum(part, TINY))
+    return row, local, mean, rate, slot, shape * share * (summed / dr.maximum(part, TINY))
 
 
 # The state of a random walk, and its events at flakes.
@@ -693,11 +693,11 @@ def one_of(values: tuple[Any, ...], weights: Any, left: Any) -> tuple[Any, ...]:
         left: random number, uniform in [0, sum of weights).
     """
     left = left - weights[0]
-    found = tuple(value[0] for value in values)
+    chosen = tuple(value[0] for value in values)
     for k in range(1, dr.size_v(mi.UnpolarizedSpectrum)):
-        found = select(left >= 0, tuple(value[k] for value in values), found)
+        chosen = select(left >= 0, tuple(value[k] for value in values), chosen)
         left -= weights[k]
-    return found
+    return chosen
 
 
 def survival_probability(before: Any, after: Any) -> Any:

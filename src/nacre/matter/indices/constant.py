@@ -113,15 +113,17 @@ class OpticalConstant:
 
     def _range_message(self, wavelengths: Array) -> str:
         low, high = self.range_nm
-        asked = sorted({f"{wavelengths.min():g}", f"{wavelengths.max():g}"}, key=float)
+        requested = sorted({f"{wavelengths.min():g}", f"{wavelengths.max():g}"}, key=float)
         where = self.source.removeprefix(f"{self.name}: ")
         source = f" ({where})" if where and where != self.name else ""
-        said = f'"{self.name}" is known from {low:g} to {high:g} nm{source}, but {"-".join(asked)} nm was requested. '
+        text = (
+            f'"{self.name}" is known from {low:g} to {high:g} nm{source}, but {"-".join(requested)} nm was requested. '
+        )
         first, last = float(wavelengths.min()), float(wavelengths.max())
         wrong = next((f for f in WRONG_UNITS if low * f <= first and last <= high * f), None)
         if names_file(self.source) and wrong is not None:
-            return f"{said}Is the unit of its wavelengths right? {WRONG_UNITS[wrong]}"
-        return f'{said}Choose another entry, fewer wavelengths, or extrapolate = "edge" to use the end values'
+            return f"{text}Is the unit of its wavelengths right? {WRONG_UNITS[wrong]}"
+        return f'{text}Choose another entry, fewer wavelengths, or extrapolate = "edge" to use the end values'
 
     def _check(self, values: ComplexArray, wavelengths: Array) -> None:
         is_bad = ~(
@@ -224,10 +226,10 @@ _ALBEDOS = {"black": 0.04, "paper": 0.8, "white": 0.8, "paint": 0.5, "wood": 0.3
 def scattering_hint(text: str) -> str:
     """Return how to describe a matt material, such as "black paper", that is named like an optical constant, or ""."""
     words = text.lower().replace("-", " ").split()
-    found = [word for word in _ALBEDOS if word in words]
-    if not found:
+    matching = [word for word in _ALBEDOS if word in words]
+    if not matching:
         return ""
-    albedo = min(_ALBEDOS[word] for word in found)
+    albedo = min(_ALBEDOS[word] for word in matching)
     return f'{" ".join(words)} scatters light; write substrate = "glass" with base = {{albedo = {albedo:g}}}'
 
 

@@ -120,8 +120,8 @@ def axes_of(key: str) -> dict[str, str]:
     """
     stem, dash, axis = key.rpartition("-")
     group = next((group for group in AXES if axis in group), ())
-    found = {_LATIN.get(one, one): f"{stem}-{one}" for one in group if f"{stem}-{one}" in catalogue()}
-    return found if dash and len(found) > 1 else {}
+    pages = {_LATIN.get(one, one): f"{stem}-{one}" for one in group if f"{stem}-{one}" in catalogue()}
+    return pages if dash and len(pages) > 1 else {}
 
 
 def find_page(key: str) -> Page:
@@ -144,9 +144,9 @@ def find_page(key: str) -> Page:
     book = rest.partition("/")[0]
     in_book = [known for known in pages if known.startswith(f"{shelf}/{book}/")]
     hint = did_you_mean(key, in_book or pages)
-    shown, word = " ".join(key.split())[:80], " ".join((book or key).split())[:40]
+    short_key, word = " ".join(key.split())[:80], " ".join((book or key).split())[:40]
     raise UnknownMaterialError(
-        f'"{shown}" is not in the refractiveindex.info database.{hint} List: nacre indices search {word}'
+        f'"{short_key}" is not in the refractiveindex.info database.{hint} List: nacre indices search {word}'
     )
 
 

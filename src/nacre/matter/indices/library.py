@@ -53,13 +53,13 @@ def search(text: str) -> list[IndexDescription]:
     match anywhere, ignoring case.
     """
     words = [_matcher(word) for word in text.split()]
-    found = [
+    named = [
         IndexDescription(d.name, d.title, d.source, index(d.name).range_nm, d.splice, is_default=True)
         for d in DEFAULTS
         if all(match(" ".join((d.name, d.title, d.source, *d.aliases))) for match in words)
     ]
     pages = (p for p in catalogue().values() if all(match(f"{p.key} {p.book_title} {p.title}") for match in words))
-    return found + [IndexDescription(p.key, f"{p.book_title}; {p.title}", p.key, None) for p in pages]
+    return named + [IndexDescription(p.key, f"{p.book_title}; {p.title}", p.key, None) for p in pages]
 
 
 def partners(name: str) -> dict[str, str]:
@@ -83,28 +83,28 @@ def pair_remark(name: str) -> str:
         >>> pair_remark("main/CaCO3/Ghosh-o")[:48]
         '"main/CaCO3/Ghosh-o" is one of a pair: {ordinary'
     """
-    found = partners(name)
-    if not found:
+    axes_by_name = partners(name)
+    if not axes_by_name:
         return ""
-    if "o" in found:
-        pair = f'{{ordinary = "{found["o"]}", extraordinary = "{found["e"]}"}}'
+    if "o" in axes_by_name:
+        pair = f'{{ordinary = "{axes_by_name["o"]}", extraordinary = "{axes_by_name["e"]}"}}'
         return f'"{name}" is one of a pair: {pair} is birefringent'
-    axes = ", ".join(f'"{key}"' for key in found.values())
+    axes = ", ".join(f'"{key}"' for key in axes_by_name.values())
     return f'"{name}" is one of the axes of a crystal: {{principal = [{axes}]}} is birefringent'
 
 
 def pairs_among(names: Sequence[str]) -> list[str]:
     """Return the pairs and triples of axes among some names as recipe tables, each once."""
-    found: dict[tuple[str, ...], None] = {}
+    tables: dict[tuple[str, ...], None] = {}
     for name in names:
         axes = partners(name)
         if axes:
-            found[tuple(axes.values())] = None
+            tables[tuple(axes.values())] = None
     return [
         f'{{ordinary = "{axes[0]}", extraordinary = "{axes[1]}"}}'
         if len(axes) == 2
         else "{principal = [" + ", ".join(f'"{axis}"' for axis in axes) + "]}"
-        for axes in found
+        for axes in tables
     ]
 
 
@@ -132,5 +132,5 @@ def describe(name: str) -> IndexDescription:
     Raises:
         UnknownMaterialError: unknown name or entry.
     """
-    found = index(name).describe()
-    return replace(found, is_default=isinstance(find_default(name), Default))
+    description = index(name).describe()
+    return replace(description, is_default=isinstance(find_default(name), Default))

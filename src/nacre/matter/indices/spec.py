@@ -245,9 +245,9 @@ class IndexSpec(RecipeModel):
         return self._built
 
     def _check_form(self) -> None:
-        given = [form for form in FORMS if getattr(self, form) is not None]
-        if not given or (len(given) > 1 and not set(given) <= set(SUMMED)):
-            got = " and ".join(given) if given else "nothing"
+        forms = [form for form in FORMS if getattr(self, form) is not None]
+        if not forms or (len(forms) > 1 and not set(forms) <= set(SUMMED)):
+            got = " and ".join(forms) if forms else "nothing"
             raise ValueError(f"gives {got}; a material is exactly one of {EXAMPLES}")
         if self.k is not None:
             if self.n is None:
@@ -261,11 +261,11 @@ class IndexSpec(RecipeModel):
             raise ValueError("needs both n_d and abbe")
         if self.sellmeier is not None and len(self.sellmeier) % 2:
             raise ValueError(f".sellmeier has {len(self.sellmeier)} numbers; they come in pairs b, c")
-        backgrounds = [form for form in given if form in SUMMED and getattr(self, form).eps_inf != 1.0]
+        backgrounds = [form for form in forms if form in SUMMED and getattr(self, form).eps_inf != 1.0]
         if len(backgrounds) > 1:
             raise ValueError(f"gives eps_inf twice, in {backgrounds[0]} and in {backgrounds[1]}; delete one")
-        if self.urbach is not None and given[0] not in WITH_URBACH:
-            raise ValueError(f".urbach stands beside {', '.join(WITH_URBACH)}, not beside {given[0]}")
+        if self.urbach is not None and forms[0] not in WITH_URBACH:
+            raise ValueError(f".urbach stands beside {', '.join(WITH_URBACH)}, not beside {forms[0]}")
         self._check_mixture()
 
     def _check_mixture(self) -> None:
@@ -320,8 +320,8 @@ class IndexSpec(RecipeModel):
         def read() -> Dispersion:
             return read_page(path) if path.suffix.lower() in PAGE_SUFFIXES else read_index_file(path, options)
 
-        found: Dispersion = context.once(("index", path, options), read)
-        return found
+        dispersion: Dispersion = context.once(("index", path, options), read)
+        return dispersion
 
     def _formula(self) -> tuple[str, Dispersion]:
         if self.mix is not None:
@@ -416,17 +416,17 @@ def ambient_in(spec: IndexSpec, is_named: bool, context: RecipeContext) -> Optic
         )  # fmt: skip
     if medium is None:
         return own
-    found: OpticalConstant = medium
+    ambient: OpticalConstant = medium
     if is_named:
-        here, there = (constant.n_complex(AMBIENT_CHECK_NM).real for constant in (own, found))
+        here, there = (constant.n_complex(AMBIENT_CHECK_NM).real for constant in (own, ambient))
         if max(abs(here - there)) > SAME_INDEX:
             raise context.fail(
                 "ambient",
                 own.name,
-                f'has n = {here[1]:.4g}, but lies in "{found.name}" with n = {there[1]:.4g}; leave ambient out '
+                f'has n = {here[1]:.4g}, but lies in "{ambient.name}" with n = {there[1]:.4g}; leave ambient out '
                 "to use that medium",
             )
-    return found
+    return ambient
 
 
 def index_spec(data: Any, context: RecipeContext | None = None) -> IndexSpec:
@@ -445,8 +445,8 @@ def index_spec(data: Any, context: RecipeContext | None = None) -> IndexSpec:
     else:
         unknown = next((key for key in data if key not in IndexSpec.model_fields), None)
         if unknown is not None:
-            shown = " ".join(str(unknown).split())[:40]
-            raise context.fail(shown, data[unknown], f"is not a key of a material.{did_you_mean(shown, FORMS)}")
+            named = " ".join(str(unknown).split())[:40]
+            raise context.fail(named, data[unknown], f"is not a key of a material.{did_you_mean(named, FORMS)}")
     made: IndexSpec = validate(IndexSpec, data, context)
     return made
 
@@ -464,13 +464,13 @@ def read_index_file(path: Path, options: ReadOptions) -> Table:
             the message starts with the file's name.
     """
     try:
-        found = _constants(path, options)
+        constants = _constants(path, options)
     except NacreError as error:
         raise NacreError(f"{path.name}: {str(error).removeprefix(f'{path}: ')}") from None
-    said = "; ".join(found.assumed + found.left_out)
-    if said:
-        logger.warning("%s: %s", path.name, said)
-    return Table.sorted(found.data["wavelength_nm"], found.data["n"], found.data["k"])
+    assumptions = "; ".join(constants.assumed + constants.left_out)
+    if assumptions:
+        logger.warning("%s: %s", path.name, assumptions)
+    return Table.sorted(constants.data["wavelength_nm"], constants.data["n"], constants.data["k"])
 
 
 def _constants(path: Path, options: ReadOptions) -> Measurement:
@@ -478,10 +478,10 @@ def _constants(path: Path, options: ReadOptions) -> Measurement:
         raise NacreError(f"{path}: is larger than {MAX_BYTES // 1_000_000} MB; is it a table of n and k?")
     if size == 0:
         raise NacreError(f"{path}: is empty: column n is missing; {FORM}")
-    found = open_file(path, options)
-    usable = [measurement for measurement in found if measurement.kind == "constants"]
+    measurements = open_file(path, options)
+    usable = [measurement for measurement in measurements if measurement.kind == "constants"]
     if not usable:
-        raise NacreError(f"{path}: holds {found[0].kind}, neither header nor row of optical constants; {FORM}")
+        raise NacreError(f"{path}: holds {measurements[0].kind}, neither header nor row of optical constants; {FORM}")
     if len(usable) > 1:
         names = [measurement.name or str(i + 1) for i, measurement in enumerate(usable)]
         if options.spectrum is None:

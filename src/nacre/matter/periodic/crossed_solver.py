@@ -159,13 +159,13 @@ def pattern_permittivity(
 def series(samples: Array) -> Array:
     """Return the Fourier series of a function given at the middles of an even grid about the origin."""
     n = samples.shape
-    found = np.fft.fft2(np.fft.ifftshift(samples)) / samples.size
+    coefficients = np.fft.fft2(np.fft.ifftshift(samples)) / samples.size
     # samples lie half a step beyond the nodes of the transform
     for axis in (0, 1):
         number = np.fft.fftfreq(n[axis], 1.0 / n[axis])
         shift = np.exp(-1j * np.pi * number / n[axis])
-        found = found * (shift[:, None] if axis == 0 else shift[None, :])
-    return np.asarray(found)
+        coefficients = coefficients * (shift[:, None] if axis == 0 else shift[None, :])
+    return np.asarray(coefficients)
 
 
 RECTANGLE_STEPS = (6, 8, 10, 12)  # degrees
@@ -184,7 +184,7 @@ def solve_rectangles(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad:
     transverse, _, _ = incident_wave(stack, theta_rad, phi_rad)
     bases = _bases(stack, k0, transverse, degree, (stack.reach, stack.reach))
     *even, is_square = box_symmetries(stack)
-    symmetric = tuple(abs(first) < SYMMETRIC and alike for first, alike in zip(transverse, even, strict=True))
+    symmetric = tuple(abs(first) < SYMMETRIC and pairs for first, pairs in zip(transverse, even, strict=True))
     answers = []
     is_square = is_square and symmetric == (True, True)
     for parities in _classes(symmetric)[: 1 if is_square else None]:
@@ -215,8 +215,8 @@ def box_symmetries(stack: PeriodicStack) -> tuple[bool, bool, bool]:
 
     def maps(x: Array, y: Array) -> Array:
         """Return the permittivity `[layer, x, y]`."""
-        found = np.empty((len(stack.layers), len(x), len(y)), dtype=complex)
-        for values, layer in zip(found, stack.layers, strict=True):
+        epsilons = np.empty((len(stack.layers), len(x), len(y)), dtype=complex)
+        for values, layer in zip(epsilons, stack.layers, strict=True):
             values[:] = layer.epsilon
             for shape, epsilon in layer.shapes:
                 assert isinstance(shape, Rectangle)
@@ -226,7 +226,7 @@ def box_symmetries(stack: PeriodicStack) -> tuple[bool, bool, bool]:
                     for at, period, (low, high) in zip((x, y), periods, spans, strict=True)
                 ]  # fmt: skip
                 values[np.ix_(*inside)] = epsilon
-        return found
+        return epsilons
 
     x, y = (regions(period, wall)[1] for period, wall in zip(periods, walls, strict=True))
     own = maps(x, y)
@@ -275,14 +275,14 @@ def _elements(stack: PeriodicStack, k0: float, degree: int) -> list[tuple[Array,
     index = max(
         [stack.reach, *(np.sqrt(complex(e)).real for layer in stack.layers for _, e in layer.shapes)]
     )  # fmt: skip
-    found = []
+    elements = []
     for positions, period in zip(walls, (cell.period_x, cell.period_y), strict=True):
         starts, _ = regions(period, np.array(positions))
         edges = np.append(starts, starts[0] + period) * k0
         turns = 0.5 * np.diff(edges) * index
         least = degree if len(starts) <= 3 else max(degree - 2, 3)
-        found.append((edges, tuple(int(np.ceil(max(least, 0.5 * t + least - 2))) for t in turns)))
-    return found
+        elements.append((edges, tuple(int(np.ceil(max(least, 0.5 * t + least - 2))) for t in turns)))
+    return elements
 
 
 def rectangle_unknowns(stack: PeriodicStack, wavelength_nm: float, step: int) -> int:
@@ -343,12 +343,12 @@ def _rectangle_class(stack: PeriodicStack, k0: float, axes: tuple[Axis, Axis]) -
         if not is_patterned(layer):
             modes.append(uniform_modes(layer.epsilon, of.alpha, of.beta, (of.x, of.y)))
             continue
-        found = [
+        boxes = [
             (s.x_0 * k0, s.x_1 * k0, _bounded(s.y_0, cell) * k0, _bounded(s.y_1, cell) * k0, epsilon)
             for s, epsilon in layer.shapes
             if isinstance(s, Rectangle)
         ]
-        modes.append(crossed_slab(rectangle_permittivity(axes, of, layer.epsilon, found), of, layer.thickness_nm * k0))
+        modes.append(crossed_slab(rectangle_permittivity(axes, of, layer.epsilon, boxes), of, layer.thickness_nm * k0))
     rows_x = {int(m): k for k, m in enumerate(x.basis.numbers[: x.basis.resolved])}
     rows_y = {int(n): k for k, n in enumerate(y.basis.numbers[: y.basis.resolved])}
 
@@ -375,8 +375,8 @@ def _response(
         drive = np.zeros((size, 2 * len(both)))
         for k, (in_x, in_y) in enumerate(both):
             drive[: len(of.x), k], drive[len(of.x) :, len(both) + k] = np.abs(in_x), np.abs(in_y)
-        held = of.x[np.argmax(drive[: len(of.x), : len(both)], axis=0)] if both else np.zeros(0, dtype=int)
-        outside.append(uniform_modes(index**2, of.alpha, of.beta, (of.x, of.y), (held, index.real)))
+        channel_rows = of.x[np.argmax(drive[: len(of.x), : len(both)], axis=0)] if both else np.zeros(0, dtype=int)
+        outside.append(uniform_modes(index**2, of.alpha, of.beta, (of.x, of.y), (channel_rows, index.real)))
         drives.append(drive.astype(complex))
     depths = [layer.thickness_nm * k0 for layer in stack.layers]
     return respond(outside[0], modes, depths, outside[1], (drives[0], drives[1]), indices)
@@ -387,23 +387,23 @@ def _solved(
 ) -> Answer:  # fmt: skip
     """Join the layers for light with E_x = 1 and with E_y = 1 in order (0, 0), and read the orders."""
     first, second = content(0, 0)
-    kept = (of.x, of.y)
+    functions = (of.x, of.y)
     wave = np.zeros((len(of.x) + len(of.y), 2), dtype=complex)
     wave[: len(of.x), 0], wave[len(of.x) :, 1] = first.conj(), second.conj()
     up, down = scatter(
-        uniform_modes(stack.cover**2, of.alpha, of.beta, kept), modes,
+        uniform_modes(stack.cover**2, of.alpha, of.beta, functions), modes,
         [layer.thickness_nm * k0 for layer in stack.layers],
-        uniform_modes(stack.substrate**2, of.alpha, of.beta, kept), wave,
+        uniform_modes(stack.substrate**2, of.alpha, of.beta, functions), wave,
     )  # fmt: skip
     sides: list[dict[tuple[int, int], Array]] = []
     for amplitudes, index, is_used in (
         (up, stack.cover, True), (down, stack.substrate.real, stack.is_clear)
     ):  # fmt: skip
-        found: dict[tuple[int, int], Array] = {}
+        fields: dict[tuple[int, int], Array] = {}
         for m, n in propagating(stack, k0, transverse, index)[0] if is_used else ():
             in_x, in_y = content(int(m), int(n))
-            found[int(m), int(n)] = np.stack([in_x @ amplitudes[: len(of.x)], in_y @ amplitudes[len(of.x) :]])
-        sides.append(found)
+            fields[int(m), int(n)] = np.stack([in_x @ amplitudes[: len(of.x)], in_y @ amplitudes[len(of.x) :]])
+        sides.append(fields)
     return Answer(sides[0], sides[1], len(wave))
 
 
@@ -512,13 +512,13 @@ class _Functions:
         places: (m, n) -> row of the maps.
         numbers: `[function, 2]`, one order of each.
         maps: for E_x, E_y and E_z, `[order, function of the component]`.
-        kept: indices of the functions in each component.
+        components: indices of the functions in each component.
     """
 
     places: dict[tuple[int, int], int]
     numbers: Array
     maps: tuple[Array, Array, Array]
-    kept: tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]
+    components: tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]
 
 
 Parities = tuple[bool | None, bool | None]
@@ -532,7 +532,7 @@ def _functions(orders: tuple[tuple[int, int], ...], parities: Parities) -> _Func
     ]  # fmt: skip
 
     def combined(x_even: bool | None, y_even: bool | None) -> tuple[Array, NDArray[np.intp]]:
-        columns, kept = [], []
+        columns, combinations = [], []
         for k, (m, n) in enumerate(own):
             if (x_even is False and m == 0) or (y_even is False and n == 0):
                 continue
@@ -542,8 +542,8 @@ def _functions(orders: tuple[tuple[int, int], ...], parities: Parities) -> _Func
                     odd = (s < 0 and x_even is False) != (t < 0 and y_even is False)
                     column[places[s * m, t * n]] = -1.0 if odd else 1.0
             columns.append(column / np.linalg.norm(column))
-            kept.append(k)
-        return np.array(columns).T, np.array(kept, dtype=np.intp)
+            combinations.append(k)
+        return np.array(columns).T, np.array(combinations, dtype=np.intp)
 
     x, y = parities  # parities of E_z
     flip_x, flip_y = (None if x is None else not x), (None if y is None else not y)
@@ -584,7 +584,7 @@ def _fourier_class(
     key = tuple((int(m), int(n)) for m, n in orders)
     functions = _functions(key, parities)
     vectors = stack.cell.wave_vectors(functions.numbers) / k0 + transverse
-    of = Components(vectors[:, 0], vectors[:, 1], *functions.kept)
+    of = Components(vectors[:, 0], vectors[:, 1], *functions.components)
     modes: list[Modes | Slab] = []
     for layer, shapes in zip(stack.layers, layers, strict=True):
         if shapes is None:
@@ -629,12 +629,12 @@ def cell_grid(cell: Cell, count: int) -> tuple[Array, Array]:
 def periodic_distance(region: Region, cell: Cell, x: Array, y: Array) -> Array:
     """Return the signed distance to a shape and its copies in the neighbouring cells."""
     assert cell.period_y is not None
-    found = np.full(x.shape, np.inf)
+    distance = np.full(x.shape, np.inf)
     for i in (-1, 0, 1):
         for j in (-1, 0, 1):
             d_x = i * cell.period_x + j * cell.period_y * np.cos(cell.angle_rad)
-            found = np.minimum(found, region.distance(x - d_x, y - j * cell.period_y * np.sin(cell.angle_rad)))
-    return found
+            distance = np.minimum(distance, region.distance(x - d_x, y - j * cell.period_y * np.sin(cell.angle_rad)))
+    return distance
 
 
 @lru_cache(maxsize=24)

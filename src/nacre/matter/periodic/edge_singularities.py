@@ -50,8 +50,8 @@ def edge_exponent(sectors: Sectors) -> complex:
         step = value / np.where(slope == 0.0, 1.0, slope)
         root = root - step / np.maximum(1.0, np.abs(step) / 0.2)
     root = np.where(root.real < 0.0, -root, root)
-    found = root[(np.abs(remainder(root)) < 1e-6) & (np.abs(root) > 1e-2) & (root.real < 1.0)]
-    return complex(found[np.argmin(found.real)]) if len(found) else 1.0 + 0j
+    roots = root[(np.abs(remainder(root)) < 1e-6) & (np.abs(root) > 1e-2) & (root.real < 1.0)]
+    return complex(roots[np.argmin(roots.real)]) if len(roots) else 1.0 + 0j
 
 
 def _edges(stack: PeriodicStack) -> list[Sectors]:
@@ -72,12 +72,12 @@ def _edges(stack: PeriodicStack) -> list[Sectors]:
         return []
     flat = np.full(len(layers[0][0]), 0.5 * np.pi)
     cover, substrate = ((np.full(len(flat), value), np.full(len(flat), value), flat) for value in outside)
-    every, found = [cover, *layers, substrate], []
+    every, joined = [cover, *layers, substrate], []
     for above, below in zip(every, every[1:], strict=False):
         for (a, b, up), (c, d, down) in zip(zip(*above, strict=True), zip(*below, strict=True), strict=True):
             edge = ((complex(b), up), (complex(a), np.pi - up), (complex(c), down), (complex(d), np.pi - down))
-            found.append(_joined(edge))
-    return [edge for edge in found if edge]
+            joined.append(_joined(edge))
+    return [edge for edge in joined if edge]
 
 
 def _layers(stack: PeriodicStack) -> list[Layer]:
@@ -100,24 +100,24 @@ def _layers(stack: PeriodicStack) -> list[Layer]:
             places = wall_lines(tilted[at[0] : at[-1] + 1], period)
         except WallsMeetError:
             return []
-    found = []
+    filled = []
     for k, layer in enumerate(layers):
         top, bottom = (places[np.clip(k + j - at[0], 0, len(places) - 1)] for j in (0, 1))
         middle = 0.5 * (top + bottom)
         middles = 0.5 * (middle + np.append(middle[1:], middle[:1] + period))
         right = values_at(layer, middles, period)
-        found.append((np.roll(right, 1), right, np.arctan2(layer.thickness_nm, top - bottom)))
-    return found
+        filled.append((np.roll(right, 1), right, np.arctan2(layer.thickness_nm, top - bottom)))
+    return filled
 
 
 def _joined(edge: Sectors) -> Sectors:
     """Return an edge with neighbouring sectors of one medium as one; empty if a flat face is left."""
-    found: list[tuple[complex, float]] = []
+    merged: list[tuple[complex, float]] = []
     for epsilon, angle in edge:
-        if found and found[-1][0] == epsilon:
-            angle += found.pop()[1]
-        found.append((epsilon, angle))
-    if len(found) > 1 and found[0][0] == found[-1][0]:
-        found[0] = found[0][0], found[0][1] + found.pop()[1]
-    is_flat = len(found) == 2 and abs(found[0][1] - np.pi) < 1e-9
-    return tuple((epsilon, round(angle, 9)) for epsilon, angle in found) if len(found) > 1 and not is_flat else ()
+        if merged and merged[-1][0] == epsilon:
+            angle += merged.pop()[1]
+        merged.append((epsilon, angle))
+    if len(merged) > 1 and merged[0][0] == merged[-1][0]:
+        merged[0] = merged[0][0], merged[0][1] + merged.pop()[1]
+    is_flat = len(merged) == 2 and abs(merged[0][1] - np.pi) < 1e-9
+    return tuple((epsilon, round(angle, 9)) for epsilon, angle in merged) if len(merged) > 1 and not is_flat else ()

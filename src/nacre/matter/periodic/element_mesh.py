@@ -157,24 +157,24 @@ def _blocks(cell: Cell, walls: tuple[Oval, ...], elements: Elements) -> list[Blo
     rings += [wall.radius(angles)[:, None] * unit for wall in walls]
     rings.append(np.concatenate([corners, corners[:1]]))
     curves: list[Oval | None] = [None, *walls, None]
-    found = []
+    made = []
     for k in range(len(rings) - 1):
         for start, end, is_thin in _spans(steps, k > 0, k < len(walls)):
             own = (THIN if is_thin else radial, degree)
             for j in range(len(corners)):
                 at = np.array([[rings[k][j], rings[k][j + 1]], [rings[k + 1][j], rings[k + 1][j + 1]]])
-                found.append(
+                made.append(
                     Block(k, at, own, (curves[k], curves[k + 1]), (angles[j], angles[j + 1]), (start, end))
                 )  # fmt: skip
     inner, both = rings[0], (degree, degree)
     if len(corners) == 4:
-        found.append(Block(0, np.array([[inner[0], inner[3]], [inner[1], inner[2]]]), both))
+        made.append(Block(0, np.array([[inner[0], inner[3]], [inner[1], inner[2]]]), both))
     else:
         middle = np.zeros(2)
-        found += [
+        made += [
             Block(0, np.array([[middle, inner[j + 2]], [inner[j], inner[j + 1]]]), both) for j in (0, 2, 4)
         ]  # fmt: skip
-    return found
+    return made
 
 
 @lru_cache(maxsize=16)
@@ -225,12 +225,12 @@ class ElementMesh:
 
     def joints(self, wave: Array) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
         """Return the maps from the joined edge and continuous functions to local ones, at a wave vector in 1/nm."""
-        found = []
+        joints = []
         for (number, sign, offset), size in zip((self.edge, self.node), self.sizes, strict=True):
             values = sign * np.exp(1j * (offset @ wave))
             shape = (len(number), size)
-            found.append(scipy.sparse.csr_matrix((values, (np.arange(len(number)), number)), shape=shape))
-        return found[0], found[1]
+            joints.append(scipy.sparse.csr_matrix((values, (np.arange(len(number)), number)), shape=shape))
+        return joints[0], joints[1]
 
     def mirror(self, axis_rad: float, wave: Array) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix] | None:
         """Return the reflection of the joined edge and continuous functions; None: the mesh is not symmetric.
@@ -242,13 +242,13 @@ class ElementMesh:
         local = _mirrored(self.blocks, axis_rad)
         if local is None:
             return None
-        found = []
+        reflections = []
         for matrix, joint in zip(local, self.joints(wave), strict=True):
             # one of the local functions that belong to each joined one
             number, at = np.unique(joint.indices, return_index=True)
             pick = scipy.sparse.csr_matrix((joint.data[at].conj(), (number, at)), shape=joint.shape[::-1])
-            found.append(pick @ matrix @ joint)
-        return found[0], found[1]
+            reflections.append(pick @ matrix @ joint)
+        return reflections[0], reflections[1]
 
     def plane_waves(self, wave: Array, numbers: Array) -> Array:
         """Return the overlap integrals between local edge functions (x and y) and plane waves, `[2, local, order]`.
@@ -258,21 +258,21 @@ class ElementMesh:
             numbers: `[order, 2]`.
         """
         vectors = self.cell.wave_vectors(numbers) + wave
-        found = []
+        overlaps = []
         for at, weighted in _weighted(self.blocks, round(float(np.hypot(*vectors.T).max()) * 1e6)):
             values = np.exp(1j * (at.T @ vectors.T)).view(float)  # real products take half the time
-            found.append(np.ascontiguousarray(weighted @ values).view(complex))
-        return np.concatenate(found, axis=1)
+            overlaps.append(np.ascontiguousarray(weighted @ values).view(complex))
+        return np.concatenate(overlaps, axis=1)
 
 
 def _flip(degree: int, sign: int, is_slope: bool) -> Array:
     """Return the coefficients after x -> sign x, of N from `shape_functions`, or of D dx."""
     if is_slope:
         return np.asarray(np.diag(float(sign) ** (np.arange(degree) + 1)))
-    found = np.diag(float(sign) ** np.arange(degree + 1))
+    flips = np.diag(float(sign) ** np.arange(degree + 1))
     if sign < 0:
-        found[:2, :2] = [[0.0, 1.0], [1.0, 0.0]]
-    return found
+        flips[:2, :2] = [[0.0, 1.0], [1.0, 0.0]]
+    return flips
 
 
 def _turned(degrees: tuple[int, int], signs: tuple[int, int], swaps: bool) -> tuple[Array, Array]:
@@ -328,7 +328,7 @@ def _weighted(blocks: tuple[Block, ...], most: int) -> tuple[tuple[Array, Array]
     Args:
         most: largest wave number, in 1e-6 / nm.
     """
-    found = []
+    weighted = []
     for block in blocks:
         counts = tuple(
             degree // 2 + 8 + int(0.5e-6 * most * length)
@@ -336,8 +336,8 @@ def _weighted(blocks: tuple[Block, ...], most: int) -> tuple[tuple[Array, Array]
         )
         both, _, (xi, eta), weight = _square(block.degrees, (counts[0], counts[1]))
         at, a, b = _mapped(block, xi, eta)
-        found.append((at, _fields(both, a, b) * weight))
-    return tuple(found)
+        weighted.append((at, _fields(both, a, b) * weight))
+    return tuple(weighted)
 
 
 @lru_cache(maxsize=16)

@@ -68,14 +68,14 @@ def has_curved_metal(stack: PeriodicStack) -> bool:
 
 def ovals(stack: PeriodicStack) -> tuple[Oval, ...]:
     """Return a structure's walls, innermost first; empty if they are not nested ovals about one centre."""
-    found: set[Oval] = set()
+    distinct: set[Oval] = set()
     for layer in stack.layers:
         for shape, _ in layer.shapes if is_patterned(layer) else ():
             walls = _ovals_of(shape)
             if not walls:
                 return ()
-            found |= set(walls)
-    nested = sorted(found, key=lambda wall: wall.a * wall.b)
+            distinct |= set(walls)
+    nested = sorted(distinct, key=lambda wall: wall.a * wall.b)
     angles = np.linspace(-np.pi, np.pi, 181)
     if not nested or len(nested) > MOST_WALLS or len({(wall.x, wall.y) for wall in nested}) > 1:
         return ()
@@ -142,18 +142,18 @@ class _Basis:
     axes: Array
     shares: Array
 
-    def modes(self, epsilon: complex, k0: float, held: tuple[Array, float] | None = None) -> Modes:
+    def modes(self, epsilon: complex, k0: float, channels: tuple[Array, float] | None = None) -> Modes:
         """Return a homogeneous medium's modes.
 
         Args:
-            held: numbers of orders with a fixed admittance, and its value.
+            channels: numbers of orders with a fixed admittance, and its value.
         """
         rest = epsilon - self.squared / k0**2
         gamma = outgoing_root(rest)
         admittance = np.where(self.is_p, epsilon / gamma, gamma)
-        if held is not None:
-            both = np.concatenate([held[0], len(self.numbers) + held[0]])
-            admittance[: len(self.shares)][np.any(self.shares[:, both], axis=1)] = held[1]
+        if channels is not None:
+            both = np.concatenate([channels[0], len(self.numbers) + channels[0]])
+            admittance[: len(self.shares)][np.any(self.shares[:, both], axis=1)] = channels[1]
         y = admittance[:, None]
         return Modes(gamma, lambda e: e, lambda h: h / y, lambda e: e, lambda e: y * e)
 
@@ -161,9 +161,9 @@ class _Basis:
         """Return E_x and E_y of an exact order `[mode, 2]`."""
         t_x, t_y = self.axes[order]
         s, p = self.shares[:, order], self.shares[:, len(self.numbers) + order]
-        found = np.zeros((len(self.squared), 2), dtype=complex)
-        found[: len(s)] = np.stack([t_x * p - t_y * s, t_y * p + t_x * s], axis=1)
-        return found
+        fields = np.zeros((len(self.squared), 2), dtype=complex)
+        fields[: len(s)] = np.stack([t_x * p - t_y * s, t_y * p + t_x * s], axis=1)
+        return fields
 
 
 Mirrors = tuple[tuple[float, int], ...]  # angle of each axis, and 1 or -1 for fields that are even or odd
@@ -195,13 +195,13 @@ def _basis(
     phase = np.exp(1j * (vectors @ np.array([walls[0].x, walls[0].y])))
     x, y = x * phase, y * phase
     exact = np.hstack([axes[:, 1] * -x + axes[:, 0] * y, axes[:, 0] * x + axes[:, 1] * y])
-    whole = sum(mesh.masses)
-    low = np.linalg.cholesky(_folded(whole, edge).toarray())
+    total = sum(mesh.masses)
+    low = np.linalg.cholesky(_folded(total, edge).toarray())
 
     def solved(m: Array) -> Array:
         return np.asarray(scipy.linalg.solve_triangular(low, m, lower=True, check_finite=False))
 
-    gradient = solved((edge.conj().T @ (whole @ (mesh.gradient @ node))).toarray())
+    gradient = solved((edge.conj().T @ (total @ (mesh.gradient @ node))).toarray())
     curls = solved(solved(_folded(mesh.rotation, edge).toarray()).conj().T)
     heights = np.linalg.cholesky(_folded(sum(mesh.heights), node).toarray())
     steps = scipy.linalg.solve_triangular(heights, gradient.conj().T, lower=True, check_finite=False)
@@ -226,14 +226,14 @@ def _basis(
 
 def _class(reflections: list[tuple[scipy.sparse.csr_matrix, int]], size: int) -> scipy.sparse.csr_matrix:
     """Return orthonormal combinations `[function, combination]` that each reflection multiplies by its parity."""
-    found = reached = scipy.sparse.identity(size, format="csc")
+    combinations = images = scipy.sparse.identity(size, format="csc")
     for turn, parity in reflections:
-        found = 0.5 * (found + parity * (turn @ found))
-        reached = reached + abs(turn) @ reached
-    first = np.minimum.reduceat(reached.tocsc().indices, reached.tocsc().indptr[:-1])
-    norms = np.sqrt(abs(found).power(2).sum(axis=0)).A1
+        combinations = 0.5 * (combinations + parity * (turn @ combinations))
+        images = images + abs(turn) @ images
+    first = np.minimum.reduceat(images.tocsc().indices, images.tocsc().indptr[:-1])
+    norms = np.sqrt(abs(combinations).power(2).sum(axis=0)).A1
     own = np.flatnonzero((first == np.arange(size)) & (norms > 0.1))
-    return scipy.sparse.csr_matrix(found.tocsc()[:, own] @ scipy.sparse.diags(1.0 / norms[own]))
+    return scipy.sparse.csr_matrix(combinations.tocsc()[:, own] @ scipy.sparse.diags(1.0 / norms[own]))
 
 
 def _independent(exact: Array, sizes: Array) -> tuple[NDArray[np.intp], Array]:
@@ -275,11 +275,11 @@ def _folded(matrix: scipy.sparse.csr_matrix, joint: scipy.sparse.csr_matrix) -> 
 
 
 def _layers(stack: PeriodicStack, walls: tuple[Oval, ...], basis: _Basis, k0: float) -> list[Modes | Slab]:
-    found: list[Modes | Slab] = []
+    layers: list[Modes | Slab] = []
     one = np.eye(len(basis.squared))
     for layer in stack.layers:
         if not is_patterned(layer):
-            found.append(basis.modes(layer.epsilon, k0))
+            layers.append(basis.modes(layer.epsilon, k0))
             continue
         values = region_values(layer, walls)
         mass, height = (
@@ -288,8 +288,8 @@ def _layers(stack: PeriodicStack, walls: tuple[Oval, ...], basis: _Basis, k0: fl
         )
         q = basis.vectors.conj().T @ (mass @ basis.vectors) - basis.curls / k0**2
         p = one - basis.gradient @ np.linalg.solve(height.toarray() * k0**2, basis.gradient.conj().T)
-        found.append(slab(p, q, layer.thickness_nm * k0))
-    return found
+        layers.append(slab(p, q, layer.thickness_nm * k0))
+    return layers
 
 
 def _bases(
@@ -351,11 +351,11 @@ def solve_ovals(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: floa
             basis.modes(stack.cover**2, k0), _layers(stack, ovals(stack), basis, k0),
             [layer.thickness_nm * k0 for layer in stack.layers], basis.modes(stack.substrate**2, k0), wave,
         )  # fmt: skip
-        found: list[dict[tuple[int, int], Array]] = [{}, {}]
-        for made, e, (numbers, _) in zip(found, (up, down), sides, strict=False):
+        amplitudes: list[dict[tuple[int, int], Array]] = [{}, {}]
+        for made, e, (numbers, _) in zip(amplitudes, (up, down), sides, strict=False):
             for m, n in numbers:
                 made[int(m), int(n)] = basis.channel(places[int(m), int(n)]).conj().T @ e
-        answers.append(Answer(found[0], found[1], len(basis.squared)))
+        answers.append(Answer(amplitudes[0], amplitudes[1], len(basis.squared)))
     return joined_answers(stack, k0, theta_rad, phi_rad, answers, "ovals")
 
 
@@ -384,9 +384,9 @@ def oval_response(
 def region_values(layer: PatternLayer, walls: tuple[Oval, ...]) -> list[complex]:
     """Return each region's permittivity, from the innermost."""
     radii = [float(wall.radius(np.zeros(1))[0]) for wall in walls]
-    found = []
+    values = []
     for inner, outer in zip([0.0, *radii], [*radii, radii[-1] * (1.0 + GAP)], strict=True):
         x, y = np.array([walls[0].x + 0.5 * (inner + outer)]), np.array([walls[0].y])
         inside = [e for shape, e in layer.shapes if not isinstance(shape, Rectangle) and shape.distance(x, y)[0] < 0.0]
-        found.append(inside[-1] if inside else layer.epsilon)
-    return found
+        values.append(inside[-1] if inside else layer.epsilon)
+    return values

@@ -81,36 +81,36 @@ def line_modes(alpha: Array, continuous: Array, discontinuous: Array) -> LineMod
     )  # fmt: skip
 
 
-def layer_modes(found: LineModes, k_y: float) -> Modes:
+def layer_modes(modes: LineModes, k_y: float) -> Modes:
     """Return the layer's modes for one wave number along the lines, in units of k0."""
-    size = len(found.alpha)
-    lse_kappa, lsm_kappa = _off_zero(found.lse_squared), _off_zero(found.lsm_squared)
+    size = len(modes.alpha)
+    lse_kappa, lsm_kappa = _off_zero(modes.lse_squared), _off_zero(modes.lsm_squared)
     lse_gamma = outgoing_root(lse_kappa - k_y**2)
     lsm_gamma = outgoing_root(lsm_kappa - k_y**2)
-    mixed_e = k_y * found.potential / lsm_kappa
+    mixed_e = k_y * modes.potential / lsm_kappa
     admittance = lsm_gamma / lsm_kappa
-    mixed_h = found.alpha[:, None] * k_y * found.lse / lse_gamma
+    mixed_h = modes.alpha[:, None] * k_y * modes.lse / lse_gamma
     series = -lse_kappa / lse_gamma
 
     def apply_e(a: Array) -> Array:
         s, p = a[:size], a[size:]
-        y = found.lse @ s
-        return np.concatenate([found.lsm @ p, y + mixed_e @ p if k_y else y])
+        y = modes.lse @ s
+        return np.concatenate([modes.lsm @ p, y + mixed_e @ p if k_y else y])
 
     def solve_e(e: Array) -> Array:
-        p = found.lsm_inverse @ e[:size]
+        p = modes.lsm_inverse @ e[:size]
         y = e[size:] - mixed_e @ p if k_y else e[size:]
-        return np.concatenate([found.lse_inverse @ y, p])
+        return np.concatenate([modes.lse_inverse @ y, p])
 
     def apply_h(a: Array) -> Array:
         s, p = a[:size], a[size:]
-        y = found.displacement @ (admittance[:, None] * p)
-        return np.concatenate([found.lse @ (series[:, None] * s), y + mixed_h @ s if k_y else y])
+        y = modes.displacement @ (admittance[:, None] * p)
+        return np.concatenate([modes.lse @ (series[:, None] * s), y + mixed_h @ s if k_y else y])
 
     def solve_h(h: Array) -> Array:
-        s = (found.lse_inverse @ h[:size]) / series[:, None]
+        s = (modes.lse_inverse @ h[:size]) / series[:, None]
         y = h[size:] - mixed_h @ s if k_y else h[size:]
-        return np.concatenate([s, (found.displacement_inverse @ y) / admittance[:, None]])
+        return np.concatenate([s, (modes.displacement_inverse @ y) / admittance[:, None]])
 
     return Modes(np.concatenate([lse_gamma, lsm_gamma]), solve_e, solve_h, apply_e, apply_h)
 

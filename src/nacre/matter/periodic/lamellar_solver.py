@@ -52,7 +52,7 @@ def is_patterned(layer: PatternLayer) -> bool:
 
 def solve_lamellar(cases: Sequence[Case]) -> list[OrderSolution]:
     """Return the orders of lamellar layers for each (stack, k0, theta, phi), within 3e-4, with metal 1.5e-3."""
-    found: dict[int, OrderSolution] = {}
+    solutions: dict[int, OrderSolution] = {}
     groups: dict[object, list[int]] = {}
     incidences = [incident_wave(stack, theta, phi) for stack, _, theta, phi in cases]
     for k, (stack, k0, theta, phi) in enumerate(cases):
@@ -60,7 +60,7 @@ def solve_lamellar(cases: Sequence[Case]) -> list[OrderSolution]:
             shapes = tuple(tuple(shape for shape, _ in layer.shapes) for layer in stack.layers)
             groups.setdefault((stack.cell, shapes, bool(incidences[k][0][1])), []).append(k)
         else:
-            found[k] = flat_orders(stack, k0, theta, phi)
+            solutions[k] = flat_orders(stack, k0, theta, phi)
     for group in groups.values():
         stacks = {id(stack): stack for stack in (cases[k][0] for k in group)}
         starts, middles = _walls(cases[group[0]][0])
@@ -77,8 +77,8 @@ def solve_lamellar(cases: Sequence[Case]) -> list[OrderSolution]:
                 part = members[first : first + step]
                 epsilon = np.array([values[id(cases[k][0])] for k in part])
                 solved = _solved([cases[k] for k in part], [incidences[k] for k in part], mesh, epsilon)
-                found |= zip(part, solved, strict=True)
-    return [found[k] for k in range(len(cases))]
+                solutions |= zip(part, solved, strict=True)
+    return [solutions[k] for k in range(len(cases))]
 
 
 def _walls(stack: PeriodicStack) -> tuple[Array, Array]:
@@ -147,8 +147,8 @@ def _solved(
             space.joints.reshape(1, -1, *space.joints.shape[2:]),
             np.concatenate([incident[:, [0]], incident[:, [1]]]),
         )
-        found = _scattered(joints, np.tile(space.zero, 2), [[outer]], states, [[inner]], light)
-        up, down = (np.concatenate(np.split(side, 2), axis=1) for side in found)
+        amplitudes = _scattered(joints, np.tile(space.zero, 2), [[outer]], states, [[inner]], light)
+        up, down = (np.concatenate(np.split(side, 2), axis=1) for side in amplitudes)
     up[np.arange(len(cases)), :, space.zero] -= incident
     reflected, transmitted = _sides(cases, incidences, space, np.concatenate([up, down]))
     return [OrderSolution(r, t, np.inf, mesh.size, "lines") for r, t in zip(reflected, transmitted, strict=True)]
@@ -264,15 +264,15 @@ def _space(mesh: LineMesh, half: int, length: Array, alpha_0: Array) -> Space:
     shift = -np.round(alpha_0 * length / (2.0 * np.pi)).astype(int)
     numbers = np.arange(-half, half + 1) + shift[:, None]
     alpha = alpha_0[:, None] + 2.0 * np.pi * numbers / length[:, None]
-    found = (weighted * np.exp(1j * np.outer(alpha[:, half] * length, points))[:, None]) @ waves
+    integrals = (weighted * np.exp(1j * np.outer(alpha[:, half] * length, points))[:, None]) @ waves
     joints = np.empty((2, len(length), size, len(waves[0])), dtype=complex)
-    joints[0, :, :count], joints[1] = found[:, size + 1 :], found[:, :size]
+    joints[0, :, :count], joints[1] = integrals[:, size + 1 :], integrals[:, :size]
     # integrals with the derivatives of functions that vanish at the walls
     roots = np.sqrt(np.diff(mesh.edges))[mesh.inner_elements]
     np.multiply(
-        found[:, count:size], -1j * roots[:, None] * (alpha * length[:, None])[:, None], out=joints[0, :, count:]
+        integrals[:, count:size], -1j * roots[:, None] * (alpha * length[:, None])[:, None], out=joints[0, :, count:]
     )
-    joints[1, :, 0] += phase.conj()[:, None] * found[:, size]
+    joints[1, :, 0] += phase.conj()[:, None] * integrals[:, size]
     slopes = np.repeat(slope[None, :, :-1].astype(complex), len(length), axis=0)
     slopes[:, :count, 0] += phase[:, None] * slope[:count, -1]
     slopes /= length[:, None, None]
@@ -370,13 +370,13 @@ def _sides(
     k_z = np.array([each[1] for each in incidences])[case]
     azimuth = np.array([phi for _, _, _, phi in cases])[case]
     transverse = np.stack([space.alpha[case, wave], k_y[case]], axis=1)
-    found = order_set(numbers, transverse, fields[row, :, wave], index[row], True, (azimuth, k_z))
+    orders = order_set(numbers, transverse, fields[row, :, wave], index[row], True, (azimuth, k_z))
     is_down = row >= count
-    found.direction[is_down, 2] *= -1.0
-    found.jones[is_down, 1] *= -1.0
+    orders.direction[is_down, 2] *= -1.0
+    orders.jones[is_down, 1] *= -1.0
     ends = np.searchsorted(row, np.arange(2 * count + 1))
     sets = [
-        OrderSet(found.numbers[a:b], found.direction[a:b], found.jones[a:b], found.efficiency[a:b])
+        OrderSet(orders.numbers[a:b], orders.direction[a:b], orders.jones[a:b], orders.efficiency[a:b])
         for a, b in zip(ends[:-1], ends[1:], strict=True)
     ]
     return sets[:count], sets[count:]

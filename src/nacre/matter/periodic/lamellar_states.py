@@ -214,8 +214,8 @@ def _from_poles(space: Space, values: Array, half: Array, k_y: Array, _: Array) 
     low = -_summed(rows, ends_and_steps, group, _joined(ratio * same, ratio * other, space.phase), weights)
     low_t, odd_x = np.split(low, 2, axis=1)
     t_x = low_t * values[:, None, space.region]
-    for found, each in ((t_x, per_own * mass), (odd_x, per_own * (mass - ((steep**2) / values)[:, element]))):
-        found[:, diagonal, diagonal] += np.concatenate([(weight[:, None] @ share)[:, 0], each], axis=1)
+    for sums, each in ((t_x, per_own * mass), (odd_x, per_own * (mass - ((steep**2) / values)[:, element]))):
+        sums[:, diagonal, diagonal] += np.concatenate([(weight[:, None] @ share)[:, 0], each], axis=1)
     return t_x, odd_y @ space.masses(np.ones_like(values)), odd_x, odd_y
 
 
@@ -258,22 +258,22 @@ def _summed(rows: Array, spread: Array, group: Array, walls: Array, weights: Arr
 def _joined(same: Array, other: Array, phase: Array) -> Array:
     """Return the walls' matrices from the elements'; the last element ends a period further."""
     count = same.shape[-1]
-    found = np.zeros((*same.shape, count), dtype=complex)
+    joined = np.zeros((*same.shape, count), dtype=complex)
     for k in range(count):
         end, turn = (k + 1) % count, phase[:, None] if k + 1 == count else 1.0
-        found[..., k, k] += same[..., k]
-        found[..., end, end] += same[..., k]
-        found[..., k, end] += other[..., k] * turn
-        found[..., end, k] += other[..., k] * np.conj(turn)
-    return found
+        joined[..., k, k] += same[..., k]
+        joined[..., end, end] += same[..., k]
+        joined[..., k, end] += other[..., k] * turn
+        joined[..., end, k] += other[..., k] * np.conj(turn)
+    return joined
 
 
 def _inverted(matrices: Array) -> Array:
     """Return inverses `[..., n, n]`; those with two rows ten times faster."""
     if matrices.shape[-1] != 2:
         return np.linalg.inv(matrices)
-    found = np.empty_like(matrices)
+    inverses = np.empty_like(matrices)
     det = matrices[..., 0, 0] * matrices[..., 1, 1] - matrices[..., 0, 1] * matrices[..., 1, 0]
-    found[..., 0, 0], found[..., 1, 1] = matrices[..., 1, 1] / det, matrices[..., 0, 0] / det
-    found[..., 0, 1], found[..., 1, 0] = -matrices[..., 0, 1] / det, -matrices[..., 1, 0] / det
-    return found
+    inverses[..., 0, 0], inverses[..., 1, 1] = matrices[..., 1, 1] / det, matrices[..., 0, 0] / det
+    inverses[..., 0, 1], inverses[..., 1, 0] = -matrices[..., 0, 1] / det, -matrices[..., 1, 0] / det
+    return inverses

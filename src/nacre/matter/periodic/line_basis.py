@@ -90,9 +90,9 @@ class LineBasis:
 
 def regions(period: float, walls: Array) -> tuple[Array, Array]:
     """Return the distinct walls in [0, period), ascending, and the middles of the regions that begin at them."""
-    found = np.unique(np.round(np.asarray(walls, dtype=float) / period % 1.0, 12)) % 1.0 * period
-    found = found[np.diff(found, append=found[0] + period) > MIN_REGION * period] if len(found) > 1 else found
-    return found, found + 0.5 * np.diff(found, append=found[0] + period)
+    starts = np.unique(np.round(np.asarray(walls, dtype=float) / period % 1.0, 12)) % 1.0 * period
+    starts = starts[np.diff(starts, append=starts[0] + period) > MIN_REGION * period] if len(starts) > 1 else starts
+    return starts, starts + 0.5 * np.diff(starts, append=starts[0] + period)
 
 
 def line_mesh(period: float, walls: Array, wave_numbers: Array, level: int) -> LineMesh:
@@ -341,8 +341,8 @@ def _reflections(basis: LineBasis) -> tuple[Array, Array]:
     order, mirrored = np.argsort(at), np.argsort(-at % mesh.period)
     mirror = np.empty(len(at), dtype=int)
     mirror[order] = mirrored
-    found = []
+    reflections = []
     for values, columns in ((np.delete(smooth, last, axis=1), basis.continuous), (flat, basis.discontinuous)):
         here = values @ columns
-        found.append((here.conj().T * weight) @ here[mirror])
-    return found[0], found[1]
+        reflections.append((here.conj().T * weight) @ here[mirror])
+    return reflections[0], reflections[1]

@@ -135,8 +135,8 @@ def element_response(
         side.s[at, 1, x], side.s[at, 0, y] = 1j * sign / index, -1j
     electric, source = (np.zeros((total, total), dtype=complex) for _ in range(2))
     half = 0.5 * stack.profile.depth_nm * k0 if stack.profile is not None else 0.0
-    found = [side.outward(e) for side, e in zip(sides, system.solve(sides), strict=True)]
-    for e, (at, medium, sign), (x, y), gap in zip(found, ends, own, (grid.high + half, grid.low + half), strict=True):
+    faces = [side.outward(e) for side, e in zip(sides, system.solve(sides), strict=True)]
+    for e, (at, medium, sign), (x, y), gap in zip(faces, ends, own, (grid.high + half, grid.low + half), strict=True):
         index, alpha = medium.real or 1.0, system.alpha[at]
         unit = np.eye(total)
         e_x, e_y = (sign * e[at, 1] + unit[x]) / index, e[at, 0]
@@ -195,7 +195,7 @@ class System:
         """Return the outgoing plane waves' (E_y, H_y), `[wave, 2, case]`, at both ends."""
         for side in sides:
             side.enter()
-        found = [np.zeros_like(side.s) for side in sides]
+        outgoing = [np.zeros_like(side.s) for side in sides]
         for fields, equations in self.equations:
             ends = []
             for joint, side in zip(self.joints, sides, strict=True):
@@ -203,10 +203,10 @@ class System:
                 both = range(s.shape[1])
                 block = np.block([[(joint * y[:, i, j]) @ joint.conj().T for j in both] for i in both])
                 ends.append((block, np.sqrt(self.period) * np.concatenate([joint @ s[:, i] for i in both])))
-            for end, joint, e in zip(found, self.joints, equations.solve(ends), strict=True):
+            for end, joint, e in zip(outgoing, self.joints, equations.solve(ends), strict=True):
                 waves = joint.conj().T @ e.reshape(-1, len(joint), e.shape[1])
                 end[:, fields] = waves.swapaxes(0, 1) / np.sqrt(self.period)
-        return found
+        return outgoing
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,15 +220,15 @@ class _Sparse:
         """Return the fields at both ends from each end's flux-to-field matrix and source."""
         matrix = self.matrix
         source = np.zeros((matrix.shape[0], ends[0][1].shape[1]), dtype=complex)
-        for at, (block, given) in zip(self.places, ends, strict=True):
+        for at, (block, fluxes) in zip(self.places, ends, strict=True):
             matrix = matrix - scipy.sparse.csc_matrix(
                 (block.ravel(), (np.repeat(at, len(at)), np.tile(at, len(at)))), matrix.shape
             )
-            source[at] += given
-        found = scipy.sparse.linalg.splu(
+            source[at] += fluxes
+        solution = scipy.sparse.linalg.splu(
             matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True}
         ).solve(source)  # a twentieth of the default's time
-        return [found[at] for at in self.places]
+        return [solution[at] for at in self.places]
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,10 +248,10 @@ class _Rows:
             beyond = self.rows[k, :size, :size] if k < len(self.rows) else -above
             system = row[size:, size:] + beyond - row[size:, :size] @ step[:, :size]
             source = -row[size:, :size] @ step[:, size:]
-        top = found = np.linalg.solve(system, source + upper)
+        top = fields = np.linalg.solve(system, source + upper)
         for step in reversed(steps):
-            found = step[:, size:] - step[:, :size] @ found
-        return [top, found]
+            fields = step[:, size:] - step[:, :size] @ fields
+        return [top, fields]
 
 
 def _system_of(stack: PeriodicStack, k0: float, transverse: Array, size: int, is_shared: bool = False) -> System:
@@ -306,17 +306,17 @@ class _Side:
         for thickness, epsilon in self.layers:
             away, back, gamma = self._fluxes(epsilon)
             decay = np.exp(1j * gamma * thickness)[:, None, None]
-            found = np.linalg.solve(back - self.y, np.concatenate([self.y - away, self.s], axis=2))
-            share, far = decay * found[:, :, :2], found[:, :, 2:]  # field e at the outer face
-            r, given = decay * share, decay * far
-            self.steps.append((one + r, given, decay * one + share, far))
+            passed = np.linalg.solve(back - self.y, np.concatenate([self.y - away, self.s], axis=2))
+            share, far = decay * passed[:, :, :2], passed[:, :, 2:]  # field e at the outer face
+            r, sources = decay * share, decay * far
+            self.steps.append((one + r, sources, decay * one + share, far))
             self.y = np.linalg.solve((one + r).swapaxes(1, 2), (away + back @ r).swapaxes(1, 2)).swapaxes(1, 2)
-            self.s = back @ given - self.y @ given
+            self.s = back @ sources - self.y @ sources
 
     def outward(self, e: Array) -> Array:
         """Return e at the half space's innermost face."""
-        for total, given, outer, far in reversed(self.steps):
-            e = outer @ np.linalg.solve(total, e - given) + far
+        for total, step_source, outer, far in reversed(self.steps):
+            e = outer @ np.linalg.solve(total, e - step_source) + far
         return e
 
 
@@ -441,7 +441,7 @@ def _rows(stack: PeriodicStack, k0: float, k_y: float, size: int) -> list[tuple[
     count = 2 * line + (columns + 1) * bubbles
     each, left = np.delete(np.arange(line), columns), 2 * line + np.arange(bubbles)
     right = np.append([columns, line + columns], left + bubbles)
-    found = []
+    matrices = []
     for fields, small in parts:
         both = range(small.shape[1] // places.shape[1])
         members = np.concatenate([places + i * count for i in both], axis=1)
@@ -453,8 +453,8 @@ def _rows(stack: PeriodicStack, k0: float, k_y: float, size: int) -> list[tuple[
             for member, element in zip(members, elements, strict=True):
                 full[np.ix_(member, member)] += element
             rows.append(_eliminated(full, outer, hidden))
-        found.append((fields, np.array(rows)))
-    return found
+        matrices.append((fields, np.array(rows)))
+    return matrices
 
 
 def _closed(rows: Array, columns: int, degree: int, phase: complex) -> Array:
@@ -520,17 +520,17 @@ def wall_lines(tilted: Sequence[tuple[PatternLayer, tuple[float, ...]]], period:
     lines: list[Array] = []
     for first, (top, bottom) in enumerate(own):
         for pair in zip(top, bottom, strict=True):
-            found = np.zeros(len(own) + 1)
-            found[first : first + 2] = pair
+            places = np.zeros(len(own) + 1)
+            places[first : first + 2] = pair
             for k in range(first - 1, -1, -1):
-                found[k] = _carried(found[k + 1], own[k][1], own[k][0], period)
+                places[k] = _carried(places[k + 1], own[k][1], own[k][0], period)
             for k in range(first + 1, len(own)):
-                found[k + 1] = _carried(found[k], own[k][0], own[k][1], period)
-            found -= np.floor((found[0] - lines[0][0]) / period) * period if lines else 0.0
+                places[k + 1] = _carried(places[k], own[k][0], own[k][1], period)
+            places -= np.floor((places[0] - lines[0][0]) / period) * period if lines else 0.0
             if all(
-                np.abs((found - line + 0.5 * period) % period - 0.5 * period).max() > 1e-9 * period for line in lines
+                np.abs((places - line + 0.5 * period) % period - 0.5 * period).max() > 1e-9 * period for line in lines
             ):
-                lines.append(found)
+                lines.append(places)
     placed = np.array(sorted(lines, key=lambda line: tuple(line))).T
     if np.any(np.diff(placed, append=placed[:, :1] + period, axis=1) <= 1e-9 * period):
         raise WallsMeetError("sloping walls meet")
@@ -649,8 +649,8 @@ def _profile_grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> 
     ) -> None:
         length = np.abs(start[0] - end[0]) + depth * np.abs(start[1] - end[1])
         at = _graded(length, layers, (ends[0] and graded, ends[1] and graded), step)[:, None] / length
-        found = (1.0 - at) * np.array(start) + at * np.array(end)
-        lines.extend(found if not lines else found[1:])
+        point = (1.0 - at) * np.array(start) + at * np.array(end)
+        lines.extend(point if not lines else point[1:])
         values.extend([epsilon] * (len(at) - 1))
 
     put((buffer, 0.0), (0.0, 1.0), stack.cover**2 + 0j, longest, (False, True))

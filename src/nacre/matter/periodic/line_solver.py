@@ -105,10 +105,10 @@ def _basis_and_layers(
 def _line_modes(basis: LineBasis, values: Array, k_y: float) -> LineModes:
     """Return the modes of a layer; where conical light would lose digits, with a slightly larger permittivity."""
     matrices = basis.permittivity(values)
-    found = line_modes(basis.alpha, *matrices)
-    if k_y and min(np.abs(found.lse_squared).min(), np.abs(found.lsm_squared).min()) < SINGULAR:
-        found = line_modes(basis.alpha, *((1.0 + 2.0 * SINGULAR) * matrix for matrix in matrices))
-    return found
+    modes = line_modes(basis.alpha, *matrices)
+    if k_y and min(np.abs(modes.lse_squared).min(), np.abs(modes.lsm_squared).min()) < SINGULAR:
+        modes = line_modes(basis.alpha, *((1.0 + 2.0 * SINGULAR) * matrix for matrix in matrices))
+    return modes
 
 
 def line_response(
@@ -120,14 +120,14 @@ def line_response(
     basis, layers = _basis_and_layers(stack, k0, transverse, level, 1.001 * float(np.abs(waves).max()))
     size, beta = len(basis.alpha), np.full_like(basis.alpha, transverse[1])
     places = {int(m): k for k, m in enumerate(basis.numbers[: basis.resolved])}
-    held = [np.array([places[int(m)] for m in side], dtype=int) for side in numbers]
+    channels = [np.array([places[int(m)] for m in side], dtype=int) for side in numbers]
     indices = stack.cover, stack.substrate.real
     outside = [
-        uniform_modes(index**2, basis.alpha, beta, held=(at, real))
-        for index, at, real in zip((stack.cover, stack.substrate), held, indices, strict=True)
+        uniform_modes(index**2, basis.alpha, beta, channels=(at, real))
+        for index, at, real in zip((stack.cover, stack.substrate), channels, indices, strict=True)
     ]
     one = np.eye(2 * size, dtype=complex)
-    drives = [one[:, np.concatenate([at, size + at])] for at in held]
+    drives = [one[:, np.concatenate([at, size + at])] for at in channels]
     depths = [layer.thickness_nm * k0 for layer in stack.layers]
     return respond(outside[0], layers, depths, outside[1], (drives[0], drives[1]), indices)
 

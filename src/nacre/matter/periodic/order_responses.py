@@ -162,7 +162,7 @@ class Fit:
         step = max(1, int(CHUNK / self.channels.size**2))
         chunks = [self._part(transverse[k : k + step]) for k in range(0, len(transverse), step)]
         number = np.concatenate([chunk[0] for chunk in chunks])
-        found = []
+        sides = []
         for side, numbers in enumerate((self.channels.upper, self.channels.lower), start=1):
             values = np.concatenate([chunk[side] for chunk in chunks])
             row, channel = np.nonzero(values)
@@ -170,8 +170,8 @@ class Fit:
             every, place = np.unique(own, axis=0, return_inverse=True)
             table = np.zeros((len(transverse), len(every)))
             table[row, place.reshape(-1)] = values[row, channel]
-            found.append((every.astype(np.int64), table))
-        return found
+            sides.append((every.astype(np.int64), table))
+        return sides
 
     def _part(self, transverse: Array) -> tuple[Array, Array, Array]:
         """Return the cell of each wave `[direction, 2]`, and efficiencies `[direction, order]` of the channels."""
@@ -201,16 +201,16 @@ class Fit:
         e = np.linalg.solve(system, driven)
         for k in (0, 1):
             e[row, place + k * count] -= light[:, k]
-        found, first = [], 0
+        parts, first = [], 0
         for (numbers, _), (xx, xy, yy) in zip(sides, admittance, strict=True):
             count = len(numbers)
             e_x, e_y = e[:, first : first + count], e[:, first + count : first + 2 * count]
             first += 2 * count
             flux = np.abs(e_x) ** 2 * xx[..., None] + np.abs(e_y) ** 2 * yy[..., None]
             flux = flux + 2.0 * (e_x.conj() * e_y).real * xy[..., None]
-            found.append(flux.real.mean(axis=-1) / k_z[:, None])
-        return number, np.where(_propagates(of, inside, 0), found[0], 0.0), np.where(
-            _propagates(of, inside, 1), found[1], 0.0
+            parts.append(flux.real.mean(axis=-1) / k_z[:, None])
+        return number, np.where(_propagates(of, inside, 0), parts[0], 0.0), np.where(
+            _propagates(of, inside, 1), parts[1], 0.0
         )  # fmt: skip
 
 
@@ -227,12 +227,12 @@ def _nearest(lattice: Array, transverse: Array) -> Array:
     return np.asarray(np.rint(transverse @ inverse).astype(int))
 
 
-def _places(numbers: Array, wanted: Array) -> Array:
+def _places(numbers: Array, requested: Array) -> Array:
     """Return the row of each requested order; all must exist."""
     low = numbers.min(axis=0)
     table = np.zeros(numbers.max(axis=0) - low + 1, dtype=int)
     table[tuple((numbers - low).T)] = np.arange(len(numbers))
-    return np.asarray(table[tuple((wanted - low).T)])
+    return np.asarray(table[tuple((requested - low).T)])
 
 
 def _light(transverse: Array, index: float) -> tuple[Array, Array]:
@@ -291,14 +291,14 @@ def fitted(channels: Channels, values: Array, counts: Counts, images: list[Symme
 
 def next_counts(fit: Fit, tail: float) -> Counts | None:
     """Return node counts, extrapolated from the decay, for last coefficients below `tail`; None if they are already."""
-    found = []
+    larger = []
     sizes = np.abs(fit.coefficients).max(axis=(2, 3))
     for axis, last in enumerate(fit.tails):
         count = fit.coefficients.shape[axis]
         if last <= tail or count >= MOST_NODES:
-            found.append(count)
+            larger.append(count)
             continue
         rate = np.log(max(float(sizes.max()) / last, 1.5)) / (count - 2)
         more = 2 * int(np.ceil(0.5 * np.log(last / tail) / rate))
-        found.append(min(count + max(2, more), 2 * count - count % 2, MOST_NODES))
-    return None if tuple(found) == fit.coefficients.shape[:2] else (found[0], found[1])
+        larger.append(min(count + max(2, more), 2 * count - count % 2, MOST_NODES))
+    return None if tuple(larger) == fit.coefficients.shape[:2] else (larger[0], larger[1])

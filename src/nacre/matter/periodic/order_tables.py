@@ -154,14 +154,14 @@ def _solved_tables(
         return stacks[w], float(wavelengths_nm[w]), theta, azimuth + np.pi
 
     def check(case: tuple[float, float, int]) -> OrderSolution:
-        found = cached_solution(*wave(*case), tolerance, is_strict=False)
-        if found.error > largest_error:
+        solution = cached_solution(*wave(*case), tolerance, is_strict=False)
+        if solution.error > largest_error:
             raise NotConvergedError(
                 f"orders at {wavelengths_nm[case[2]]:g} nm and {np.degrees(case[0]):.0f} degrees: error "
-                f"{found.error:.1e} with {found.unknowns} unknowns, above {largest_error:g}; allowed: a larger "
+                f"{solution.error:.1e} with {solution.unknowns} unknowns, above {largest_error:g}; allowed: a larger "
                 "model.tolerance, or a structure with fewer or simpler shapes"
             )
-        return found
+        return solution
 
     some = directions[:: max(len(directions) // CHECKS, 1)]
     cases = [(t, a, k * len(stacks) // len(some)) for k, (t, a) in enumerate(some)]
@@ -185,9 +185,9 @@ def _solved_tables(
             return packed_solutions(solve_many([wave(item[0], a, item[1]) for a in grid.tolist()], step))
 
         items = {f"{step}-{t}-{w}": (float(angles[t]), w) for t in range(thetas) for w in range(len(stacks))}
-        found = parts.solved(solved, items)
+        results = parts.solved(solved, items)
         rows = [
-            [_listed(unpacked_solutions(found[f"{step}-{t}-{w}"])) for t in range(thetas)] for w in range(len(stacks))
+            [_listed(unpacked_solutions(results[f"{step}-{t}-{w}"])) for t in range(thetas)] for w in range(len(stacks))
         ]  # fmt: skip
     tables, every = _gathered(rows, len(angles), len(own), images)
     reflected, transmitted = (_whole(table, source, own, every, azimuths) for table in tables)
@@ -247,7 +247,7 @@ class Parts:
         """Return `work(item)` by label."""
         self.used.extend(items)
         stored = {label: cached_arrays(f"{self.key}-{label}") if self.key else None for label in items}
-        found = {label: arrays for label, arrays in stored.items() if arrays is not None}
+        results = {label: arrays for label, arrays in stored.items() if arrays is not None}
 
         def timed(label: str) -> tuple[dict[str, Array], float]:
             start = time.perf_counter()
@@ -257,9 +257,9 @@ class Parts:
             if self.key and result[1] > MIN_PART_S:
                 cache_arrays(f"{self.key}-{label}", result[0])
 
-        left = [label for label in items if label not in found]
+        left = [label for label in items if label not in results]
         solved = in_workers(timed, left, keep, DESCRIPTION)
-        return found | {label: arrays for label, (arrays, _) in zip(left, solved, strict=True)}
+        return results | {label: arrays for label, (arrays, _) in zip(left, solved, strict=True)}
 
     def drop(self) -> None:
         """Remove all parts."""
@@ -281,8 +281,8 @@ def _fits(
     def solved(item: tuple[int, Counts, Array]) -> dict[str, Array]:
         w, counts, numbers = item
         u = np.stack([nodes(count)[at] for count, at in zip(counts, numbers.T, strict=True)], axis=1)
-        found = responses(channels[w], u @ channels[w].span, step)
-        return {"real": found.real, "imag": found.imag}
+        response = responses(channels[w], u @ channels[w].span, step)
+        return {"real": response.real, "imag": response.imag}
 
     fits: dict[int, Fit] = {}
     is_even = len(symmetries) > len(images)
@@ -295,9 +295,9 @@ def _fits(
                 items[f"{step}-{w}-{counts[0]}x{counts[1]}-{i}"] = (w, counts, every[every[:, axis] == i])
         # wavelengths of equal wave vectors one after the other, since they share functions
         items = dict(sorted(items.items(), key=lambda item: (item[1][2][0, axis], item[1][1], item[1][0])))
-        found = parts.solved(solved, items)
+        results = parts.solved(solved, items)
         for w, counts in left.items():
-            own = [(item[2], found[label]) for label, item in items.items() if item[0] == w]
+            own = [(item[2], results[label]) for label, item in items.items() if item[0] == w]
             values = np.concatenate([each["real"] + 1j * each["imag"] for _, each in own])
             rank = np.lexsort(np.concatenate([numbers for numbers, _ in own]).T[::-1])  # as `solved_nodes`
             fits[w] = fitted(channels[w], values[rank], counts, symmetries)
@@ -337,8 +337,8 @@ def _gathered(
     rows: list[list[Row]], thetas: int, azimuths: int, images: list[tuple[int, int]]
 ) -> tuple[list[NDArray[np.float32]], list[tuple[int, int]]]:
     """Return `[theta, azimuth, order, wavelength]` of both sides, and the orders, their mirror images included."""
-    seen = {tuple(number) for row in rows for sides in row for numbers, _ in sides for number in numbers.tolist()}
-    every = sorted({(m * x, n * y) for m, n in seen for x, y in {(1, 1), *images}} | {(0, 0)})
+    distinct = {tuple(number) for row in rows for sides in row for numbers, _ in sides for number in numbers.tolist()}
+    every = sorted({(m * x, n * y) for m, n in distinct for x, y in {(1, 1), *images}} | {(0, 0)})
     place = {number: k for k, number in enumerate(every)}
     tables = [np.zeros((thetas, azimuths, len(every), len(rows)), dtype=np.float32) for _ in range(2)]
     for w, row in enumerate(rows):
@@ -354,11 +354,11 @@ def _whole(
 ) -> NDArray[np.float32]:  # fmt: skip
     """Return a table over the whole turn from its solved azimuths, by mirror symmetry."""
     place = {number: k for k, number in enumerate(every)}
-    found = np.empty((table.shape[0], azimuths + 1, *table.shape[2:]), dtype=np.float32)
+    full = np.empty((table.shape[0], azimuths + 1, *table.shape[2:]), dtype=np.float32)
     for a in range(azimuths + 1):
         (_, first), (x, y) = source[0, a % azimuths]
-        found[:, a] = table[:, own.index(first)][:, [place[m * x, n * y] for m, n in every]]
-    return found
+        full[:, a] = table[:, own.index(first)][:, [place[m * x, n * y] for m, n in every]]
+    return full
 
 
 def _between(
@@ -456,9 +456,9 @@ def _images(stack: PeriodicStack) -> list[tuple[int, int]]:
         even_x, even_y, _ = box_symmetries(stack)
     else:
         even_x, even_y = (all(_is_even(s, stack.cell, axis) for s in shapes) for axis in (0, 1))
-    found = [(-1, 1)] if even_x else []
-    found += [(1, -1)] if even_y else []
-    return [*found, (-1, -1)] if even_x and even_y else found
+    signs = [(-1, 1)] if even_x else []
+    signs += [(1, -1)] if even_y else []
+    return [*signs, (-1, -1)] if even_x and even_y else signs
 
 
 def _symmetries(stack: PeriodicStack, images: list[tuple[int, int]]) -> list[Symmetry]:
@@ -467,20 +467,20 @@ def _symmetries(stack: PeriodicStack, images: list[tuple[int, int]]) -> list[Sym
 
     By reciprocity, the response at the opposite wave vector is the transpose.
     """
-    found = [(np.diag(signs).astype(float), False) for signs in images]
+    symmetries = [(np.diag(signs).astype(float), False) for signs in images]
     cell, shapes = stack.cell, [shape for layer in stack.layers for shape, _ in layer.shapes]
     if cell.period_y is not None or stack.profile is not None or stack.tilted is not None:
-        found.append((-np.eye(2), True))
+        symmetries.append((-np.eye(2), True))
     if cell.period_y is None:
-        return found
+        return symmetries
     turn = reflection(0.5 * cell.angle_rad)  # exchanges the lattice vectors, if these are of one length
     if cell.period_x != cell.period_y:
-        return found
+        return symmetries
     if all(isinstance(shape, Rectangle) for shape in shapes):
-        is_alike = cell.is_rectangular and box_symmetries(stack)[2]
+        has_equal_axes = cell.is_rectangular and box_symmetries(stack)[2]
     else:
-        is_alike = all(isinstance(shape, Region) and _is_symmetric(shape, cell, turn) for shape in shapes)
-    return [*found, (turn, False)] if is_alike else found
+        has_equal_axes = all(isinstance(shape, Region) and _is_symmetric(shape, cell, turn) for shape in shapes)
+    return [*symmetries, (turn, False)] if has_equal_axes else symmetries
 
 
 def _is_even(shape: Shape, cell: Cell, axis: int) -> bool:

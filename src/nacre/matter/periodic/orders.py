@@ -56,15 +56,15 @@ class Orders:
         """
         is_zero = np.all(self.numbers == 0, axis=1)
         k_z = self.reflected_direction[:, :, is_zero, 2]
-        found = []
+        matrices = []
         for name in ("reflected", "transmitted"):
             jones = getattr(self, f"{name}_jones")[..., ::-1, ::-1]
             ratio = np.abs(getattr(self, f"{name}_direction")[..., 2] / k_z)
             matrix = mueller(jones) * ratio[..., None, None]
             power = getattr(self, name)
             matrix[..., 0, 0], matrix[..., 0, 1] = power.mean(axis=-1), 0.5 * (power[..., 1] - power[..., 0])
-            found.append(matrix)
-        return found[0], found[1]
+            matrices.append(matrix)
+        return matrices[0], matrices[1]
 
 
 def solve_orders(
@@ -92,7 +92,7 @@ def solve_orders(
     cases = [(a, w) for a in range(len(angles)) for w in range(len(grid))]
     keys = {(a, w): case_key(stacks[w], float(grid[w]), float(angles[a]), phi, tolerance) for a, w in cases}
     stored = {case: cached_arrays(key) for case, key in keys.items() if key}
-    found = {case: _unpacked(arrays) for case, arrays in stored.items() if arrays is not None}
+    by_case = {case: _unpacked(arrays) for case, arrays in stored.items() if arrays is not None}
 
     def timed(case: tuple[int, int]) -> tuple[OrderSolution, float]:
         start = time.perf_counter()
@@ -100,12 +100,12 @@ def solve_orders(
         return made, time.perf_counter() - start
 
     def keep(case: tuple[int, int], result: tuple[OrderSolution, float]) -> None:
-        found[case] = result[0]
+        by_case[case] = result[0]
         if keys[case] and result[1] > MIN_STORED_S:
             cache_arrays(keys[case], _packed(result[0]))
 
-    in_workers(timed, [case for case in cases if case not in found], keep, DESCRIPTION)
-    return gathered(cases, [found[case] for case in cases], angles, azimuth_rad, grid)
+    in_workers(timed, [case for case in cases if case not in by_case], keep, DESCRIPTION)
+    return gathered(cases, [by_case[case] for case in cases], angles, azimuth_rad, grid)
 
 
 def coarse_orders(
@@ -217,26 +217,26 @@ def _unpacked(arrays: dict[str, Array]) -> OrderSolution:
 
 
 def gathered(
-    cases: list[tuple[int, int]], found: list[OrderSolution], angles: Array, azimuth_rad: float, grid: Array
+    cases: list[tuple[int, int]], solved: list[OrderSolution], angles: Array, azimuth_rad: float, grid: Array
 ) -> Orders:  # fmt: skip
     """Return the solutions as arrays `[angle, wavelength, order]` over all orders in any of them.
 
     Missing orders are NaN. `cases` contains the angle and wavelength index for each solution.
     """
-    every = sorted({(int(m), int(n)) for s in found for side in (s.reflected, s.transmitted) for m, n in side.numbers})
+    every = sorted({(int(m), int(n)) for s in solved for side in (s.reflected, s.transmitted) for m, n in side.numbers})
     place = {number: k for k, number in enumerate(every)}
     shape = (len(angles), len(grid), len(every))
     sides = []
     for name in ("reflected", "transmitted"):
         efficiency, jones = np.full((*shape, 2), np.nan), np.full((*shape, 2, 2), np.nan + 0j)
         direction = np.full((*shape, 3), np.nan)
-        for (a, w), solution in zip(cases, found, strict=True):
+        for (a, w), solution in zip(cases, solved, strict=True):
             side: OrderSet = getattr(solution, name)
             at = [place[int(m), int(n)] for m, n in side.numbers]
             efficiency[a, w, at], jones[a, w, at], direction[a, w, at] = side.efficiency, side.jones, side.direction
         sides.append((efficiency, jones, direction))
     error = np.zeros(shape[:2])
-    for (a, w), solution in zip(cases, found, strict=True):
+    for (a, w), solution in zip(cases, solved, strict=True):
         error[a, w] = solution.error
     (r, r_j, r_d), (t, t_j, t_d) = sides
     return Orders(np.array(every, dtype=int).reshape(-1, 2), angles, azimuth_rad, grid, r, t, r_j, t_j, r_d, t_d, error)

@@ -156,19 +156,19 @@ def scatter_profile(
     below, source = substrate_down, from_below
     passed: list[tuple[Array, Array, Array]] = []
     for up, down, decay_up, decay_down in reversed(films):
-        found = np.linalg.solve(np.hstack([up, -below]), np.hstack([-down, source]))
+        waves = np.linalg.solve(np.hstack([up, -below]), np.hstack([-down, source]))
         size = up.shape[1]
-        answer, added = found[:, :size], found[:, size:]
+        answer, added = waves[:, :size], waves[:, size:]
         passed.append((answer[size:], added[size:], decay_down))
         below = up @ (decay_up[:, None] * answer[:size] * decay_down) + down
         source = up @ (decay_up[:, None] * added[:size])
     up, down = cover
     size = up.shape[1]
-    found = np.linalg.solve(np.hstack([up, -below]), source - down @ incident)
-    amplitudes = found[size:]
+    waves = np.linalg.solve(np.hstack([up, -below]), source - down @ incident)
+    amplitudes = waves[size:]
     for transmit, added, decay_down in reversed(passed):
         amplitudes = transmit @ (decay_down[:, None] * amplitudes) + added
-    return found[:size], amplitudes
+    return waves[:size], amplitudes
 
 
 @dataclass(frozen=True, eq=False)

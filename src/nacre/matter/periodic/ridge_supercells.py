@@ -116,12 +116,12 @@ def _mean_phase(x: Array, z: Array, sines: Array, sine_along: float, wave: float
 
 def _normal(random: np.random.Generator, count: int) -> Array:
     """Return `count` normal numbers within three standard deviations."""
-    found: list[float] = []
-    while len(found) < count:
+    numbers: list[float] = []
+    while len(numbers) < count:
         value = float(random.normal())
         if abs(value) < STEEPEST:
-            found.append(value)
-    return np.array(found)
+            numbers.append(value)
+    return np.array(numbers)
 
 
 def levels(ridges: Ridges, layers_nm: Array) -> tuple[Array, Array]:
@@ -178,12 +178,12 @@ def reflected_fan(
     parts = [(False,), (True,)] if beta == 0.0 else [(False, True)]
     keep = 1.0 - (alpha / cover) ** 2 - sine_along**2 > GRAZING**2
     amplitudes = np.zeros((2, int(keep.sum()), 2, int(keep.sum())), dtype=complex)
-    for kept in parts:
-        found = _reflection(media, depths * (2.0 * np.pi / wavelength_nm), filled, alpha, beta, substrate**2, kept)
+    for part in parts:
+        reflection = _reflection(media, depths * (2.0 * np.pi / wavelength_nm), filled, alpha, beta, substrate**2, part)
         size, some = len(alpha), np.flatnonzero(keep)
-        for i, out in enumerate(kept):
-            for j, into in enumerate(kept):
-                block = found[i * size : (i + 1) * size, j * size : (j + 1) * size]
+        for i, out in enumerate(part):
+            for j, into in enumerate(part):
+                block = reflection[i * size : (i + 1) * size, j * size : (j + 1) * size]
                 amplitudes[int(out), :, int(into)] = block[np.ix_(some, some)]
     return Fan(alpha[keep] / cover, _unpolarised(amplitudes, alpha[keep] / cover, sine_along))
 
@@ -209,35 +209,35 @@ class _Media:
         return np.asarray(series[self.at].astype(np.complex64))
 
 
-def _uniform(epsilon: complex, alpha: Array, beta: float, kept: tuple[bool, ...]) -> Array:
+def _uniform(epsilon: complex, alpha: Array, beta: float, part: tuple[bool, ...]) -> Array:
     """Return the admittance of waves that propagate (or decay) upward in a homogeneous medium."""
     gamma = np.sqrt(epsilon - alpha.astype(complex) ** 2 - beta**2)
     gamma = np.where(np.abs(gamma) < 1e-6, 1e-6, np.where(gamma.imag < 0.0, -gamma, gamma))
     xx, xy, yy = (epsilon - beta**2) / gamma, beta * alpha / gamma, (epsilon - alpha**2) / gamma
-    if len(kept) == 1:
-        return np.diag(yy if kept[0] else xx)
+    if len(part) == 1:
+        return np.diag(yy if part[0] else xx)
     return np.block([[np.diag(xx), np.diag(xy)], [np.diag(xy), np.diag(yy)]])
 
 
 def _reflection(
-    media: _Media, depths: Array, filled: Array, alpha: Array, beta: float, substrate: complex, kept: tuple[bool, ...]
+    media: _Media, depths: Array, filled: Array, alpha: Array, beta: float, substrate: complex, part: tuple[bool, ...]
 ) -> Array:  # fmt: skip
-    """Return the matrix from incident to reflected E; `kept`: of E_x (False), of E_y (True), or of both."""
-    y = -_uniform(substrate, alpha, beta, kept).astype(np.complex64)
+    """Return the matrix from incident to reflected E; `part`: of E_x (False), of E_y (True), or of both."""
+    y = -_uniform(substrate, alpha, beta, part).astype(np.complex64)
     steps: dict[tuple[float, tuple[int, ...]], tuple[tuple[Array, ...], int]] = {}
     for depth, layers in zip(depths.tolist(), filled, strict=True):
         key = (round(depth, 6), tuple(layers.tolist()))
         if key not in steps:
-            steps[key] = _step(media, layers, depth, alpha, beta, kept)
+            steps[key] = _step(media, layers, depth, alpha, beta, part)
         (cosine, up, down, other), count = steps[key]
         for _ in range(count):
             y = np.linalg.solve((cosine + up @ y).T, (down + other @ y).T).T
-    above = _uniform(media.cover, alpha, beta, kept)
+    above = _uniform(media.cover, alpha, beta, part)
     return np.asarray(np.linalg.solve(above - y, above + y))
 
 
 def _step(
-    media: _Media, layers: Array, depth: float, alpha: Array, beta: float, kept: tuple[bool, ...]
+    media: _Media, layers: Array, depth: float, alpha: Array, beta: float, part: tuple[bool, ...]
 ) -> tuple[tuple[Array, ...], int]:  # fmt: skip
     """Return the matrices of one step: E = cosine E + up G, G = down E + other G; and the number of steps."""
     one = np.eye(media.size, dtype=np.complex64)
@@ -246,14 +246,14 @@ def _step(
     count = max(1, int(np.ceil(depth * fastest / REACH)))
     phase = np.float32(depth / count)
     epsilon = media.matrix(layers, False)
-    if kept == (True,):  # P = 1
+    if part == (True,):  # P = 1
         q = epsilon - np.diag(a**2)
         cosine, sine = _series(phase**2 * q)
         return (cosine, 1j * phase * sine, 1j * phase * (q @ sine), cosine), count
     inverse = np.linalg.inv(epsilon)
     across = np.linalg.inv(media.matrix(layers, True))
     p, q = one - a[:, None] * inverse * a, across
-    if len(kept) == 2:
+    if len(part) == 2:
         b, half = np.float32(beta), np.diag(np.float32(beta) * a).astype(np.complex64)
         p = np.block([[p, -b * (a[:, None] * inverse)], [-b * (inverse * a), one - b**2 * inverse]])
         q = np.block([[across - b**2 * one, half], [half, epsilon - np.diag(a**2)]])
@@ -293,7 +293,7 @@ SINES = 41  # nodes in a and b
 STEP_NM = 20.0  # longest step of the solved wavelengths
 SHALLOW = 0.1  # least relative depth of layers
 BEYOND = 0.05  # relative distance outside the solved range from which a solution loses weight
-KEPT = 192  # solutions held in memory
+MEMORY_ENTRIES = 192  # solutions held in memory
 LEAST_DRAWS = 6  # fewest draws for a regression
 
 
@@ -330,7 +330,7 @@ def solved_wavelengths(wavelengths_nm: Array) -> Array:
     return grid if len(grid) <= len(even) else even
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=MEMORY_ENTRIES)
 def solved_case(case: RidgeCase, along: float) -> tuple[Array, Array]:
     """Return the mean over all draws, and each draw for light from b = 0; stored on disk.
 
@@ -358,27 +358,27 @@ def solved_case(case: RidgeCase, along: float) -> tuple[Array, Array]:
         factor = array_factor(cell, fan.sines, along, wave)
         return fan.sines, _on_nodes(fan.power, fan.sines, case, along), _on_nodes(factor, fan.sines, case, along)
 
-    sines, found, factors = zip(*in_threads(work, range(case.draws)), strict=True)
+    sines, draws, factors = zip(*in_threads(work, range(case.draws)), strict=True)
     expected = mean_array_factor(case.statistics, sines[0], along, wave)
-    each = controlled(np.array(found), np.array(factors), _on_nodes(expected, sines[0], case, along))
+    each = controlled(np.array(draws), np.array(factors), _on_nodes(expected, sines[0], case, along))
     mean, rows = np.maximum(each.mean(axis=0), 0.0), each[:, SINES // 2]
     cache_arrays(key, {"mean": mean, "rows": rows})
     return mean, rows
 
 
-def controlled(found: Array, factors: Array, expected: Array) -> Array:
+def controlled(draws: Array, factors: Array, expected: Array) -> Array:
     """Return draws `[draw, ...]` corrected by their control variate, by linear regression over the draws.
 
     Args:
-        found, factors: `[draw, ...]`, quantity and control variate.
+        draws, factors: `[draw, ...]`, quantity and control variate.
         expected: `[...]`, exact mean of the control variate.
     """
-    if len(found) < LEAST_DRAWS:
-        return found
+    if len(draws) < LEAST_DRAWS:
+        return draws
     spread = factors - factors.mean(axis=0)
     square = np.sum(np.square(spread), axis=0)
-    slope = np.sum(spread * found, axis=0) / np.maximum(square, 1e-12 * np.sum(np.square(factors), axis=0) + 1e-300)
-    return np.asarray(found + slope * (expected - factors))
+    slope = np.sum(spread * draws, axis=0) / np.maximum(square, 1e-12 * np.sum(np.square(factors), axis=0) + 1e-300)
+    return np.asarray(draws + slope * (expected - factors))
 
 
 def truncation_error(case: RidgeCase) -> float:
@@ -431,12 +431,12 @@ def ridge_table(solved: Array, cases: Sequence[RidgeCase], nodes: int) -> Array:
     flat = solved.reshape(len(own), -1, len(grid))
     table = np.empty((nodes, *solved.shape[1:]))
     for k, c in enumerate(np.linspace(0.0, 1.0, nodes)):
-        wanted = grid / depth(middle, np.array(c))
+        wave_ratios = grid / depth(middle, np.array(c))
         at = np.interp(c**2, own**2, np.arange(len(own)))
         low = min(int(at), len(own) - 2)
-        parts = [_at_ratio(flat[i], ratios[i], wanted) for i in (low, low + 1)]
+        parts = [_at_ratio(flat[i], ratios[i], wave_ratios) for i in (low, low + 1)]
         # a solution that ends short of the ratio leaves the light to the other
-        near, far = (np.exp(-np.square(_beyond(ratios[i], wanted) / BEYOND)) + 1e-12 for i in (low, low + 1))
+        near, far = (np.exp(-np.square(_beyond(ratios[i], wave_ratios) / BEYOND)) + 1e-12 for i in (low, low + 1))
         lower, upper = (1.0 - (at - low)) * near, (at - low) * far
         table[k] = ((parts[0] * lower + parts[1] * upper) / (lower + upper)).reshape(solved.shape[1:])
     return table
@@ -453,13 +453,13 @@ def depth(case: RidgeCase, along: Array) -> Array:
     return np.asarray(np.maximum(paths / np.maximum(np.sum(layers * index), 1e-9), SHALLOW)).reshape(along.shape)
 
 
-def _beyond(ratios: Array, wanted: Array) -> Array:
+def _beyond(ratios: Array, at: Array) -> Array:
     """Return how far ratios lie outside a range, relative."""
-    return np.asarray(np.maximum(wanted / ratios[-1], ratios[0] / wanted).clip(1.0) - 1.0)
+    return np.asarray(np.maximum(at / ratios[-1], ratios[0] / at).clip(1.0) - 1.0)
 
 
-def _at_ratio(values: Array, ratios: Array, wanted: Array) -> Array:
-    place = np.interp(wanted, ratios, np.arange(len(ratios)))
+def _at_ratio(values: Array, ratios: Array, at: Array) -> Array:
+    place = np.interp(at, ratios, np.arange(len(ratios)))
     low = np.minimum(place.astype(int), max(len(ratios) - 2, 0))
     high = np.minimum(low + 1, len(ratios) - 1)
     return np.asarray(values[:, low] * (1.0 - (place - low)) + values[:, high] * (place - low))

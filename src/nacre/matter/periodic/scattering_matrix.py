@@ -55,23 +55,23 @@ def uniform_modes(
     epsilon: complex,
     alpha: Array,
     beta: Array,
-    kept: tuple[Array, Array] | None = None,
-    held: tuple[Array, float] | None = None,
+    components: tuple[Array, Array] | None = None,
+    channels: tuple[Array, float] | None = None,
 ) -> Modes:
     """Return the modes of a homogeneous medium in a basis of plane waves: W is the unit matrix.
 
     Args:
-        kept: which of the plane waves have a component E_x (and H_y), and E_y (and H_x); default: all.
-        held: numbers of plane waves that have a constant admittance instead, and its value.
+        components: which of the plane waves have a component E_x (and H_y), and E_y (and H_x); default: all.
+        channels: numbers of plane waves that have a constant admittance instead, and its value.
     """
     gamma = outgoing_root(epsilon - alpha**2 - beta**2)
     size = len(alpha)
-    with_x, with_y = kept if kept is not None else (np.arange(size), np.arange(size))
+    with_x, with_y = components if components is not None else (np.arange(size), np.arange(size))
     xx, xy = (-alpha * beta / gamma)[:, None], (-(epsilon - alpha**2) / gamma)[:, None]
     yx = ((epsilon - beta**2) / gamma)[:, None]
     square = np.full((size, 1), complex(epsilon))  # V^2 = -epsilon
-    if held is not None:
-        at, value = held
+    if channels is not None:
+        at, value = channels
         xx[at], xy[at], yx[at], square[at] = 0.0, -value, value, value**2
 
     def spread(part: Array, places: Array) -> Array:
@@ -168,11 +168,11 @@ def tangent_over_root(u: Array) -> Array:
 
     above, below = (part(c[:3]) + cubed @ (part(c[3:6]) + cubed @ part(c[6:])) for c in _tangent_fraction())
     if doublings <= SHORT_RULE:
-        found = np.linalg.solve(below, above)
+        tangent = np.linalg.solve(below, above)
         for _ in range(doublings):
-            found = np.linalg.solve(one - (u @ found) @ found, found)
+            tangent = np.linalg.solve(one - (u @ tangent) @ tangent, tangent)
             u = 4.0 * u
-        return np.asarray(found)
+        return np.asarray(tangent)
     thin = 0.5**doublings
     even, odd = (1j / thin) * (u @ above), (1j * thin) * above
     # reflectances in the even and odd states; their mean and half difference are the slab's

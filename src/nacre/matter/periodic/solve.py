@@ -112,12 +112,12 @@ def solve_many(cases: Sequence[tuple[PeriodicStack, float, float, float]], step:
         line_step(case[0], step) if method == "lines" else step for case, method in zip(cases, methods, strict=True)
     ]
     together = [k for k, method in enumerate(methods) if method == "lines" and sizes_of[k] == 0]
-    found = dict(zip(together, solve_lamellar([waves[k] for k in together]), strict=True))
+    solutions = dict(zip(together, solve_lamellar([waves[k] for k in together]), strict=True))
     for k, (wave, method) in enumerate(zip(waves, methods, strict=True)):
-        if k not in found:
+        if k not in solutions:
             run, sizes = RUNS[method]
-            found[k] = run(*wave, sizes[sizes_of[k] - (method == "lines")])
-    return [found[k] for k in range(len(waves))]
+            solutions[k] = run(*wave, sizes[sizes_of[k] - (method == "lines")])
+    return [solutions[k] for k in range(len(waves))]
 
 
 def solve(
@@ -158,10 +158,10 @@ def solve(
             other = _finest("elements", stack, case, bound, CHECKS if is_check else None)
         except NotConvergedError:
             other = best
-        apart, stated = difference(best, other), best.error + other.error
-        best = min(best, other, key=lambda found: found.error)
-        if apart > stated:  # at sharp corners of metal both errors can be too small
-            best = replace(best, error=apart)
+        change, stated = difference(best, other), best.error + other.error
+        best = min(best, other, key=lambda solution: solution.error)
+        if change > stated:  # at sharp corners of metal both errors can be too small
+            best = replace(best, error=change)
     return _checked(best, wavelength_nm, tolerance, is_strict)
 
 
@@ -206,19 +206,19 @@ def _finest(
     least = STEEP_RATIO if method == "profile" and _is_steep(stack) else 0.0
     for size in sizes[:count]:
         try:
-            found = run(stack, k0, theta_rad, phi_rad, size)
+            solution = run(stack, k0, theta_rad, phi_rad, size)
         except NotConvergedError:
             if best is None:
                 raise
             break
-        if found.unknowns <= 1:
-            return found
-        candidate = found
+        if solution.unknowns <= 1:
+            return solution
+        candidate = solution
         if previous is not None:
             if method == "rectangles":
-                candidate = _extrapolated(previous, found, (last / size) ** CORNER_RATE)
+                candidate = _extrapolated(previous, solution, (last / size) ** CORNER_RATE)
             if exponent is None and not least:
-                change = difference(candidate if method == "rectangles" else previous, found)
+                change = difference(candidate if method == "rectangles" else previous, solution)
                 error = SAFETY[method] * change
                 if method == "fourier":  # up to the bound, so that a smaller stated error does not exceed it either
                     error = max(error, min(CHANCE * change, bound))
@@ -226,15 +226,15 @@ def _finest(
                 step = smallest_element(stack, size) / smallest_element(stack, last) if method == "ovals" else GRADING
                 # of the finer to the coarser error: by the singularity at metal edges, or beside a steep side
                 ratio = least if exponent is None else max(least, step ** (2.0 * exponent))
-                error = amplitude_change(previous, found) * max(METAL_SAFETY[method], ratio / (1.0 - ratio))
+                error = amplitude_change(previous, solution) * max(METAL_SAFETY[method], ratio / (1.0 - ratio))
             candidate = replace(candidate, error=max(error, LEAST_ERROR[method]))
             # a finer size that differs from the best by more than its error refutes that error
-            is_refuted = method == "ovals" and best is not None and difference(best, found) > best.error
+            is_refuted = method == "ovals" and best is not None and difference(best, solution) > best.error
             if best is None or is_refuted or candidate.error < best.error:
                 best = candidate
             if best.error <= bound:
                 break
-        previous, last = found, size
+        previous, last = solution, size
     assert best is not None
     return best
 
@@ -307,11 +307,11 @@ def amplitude_change(one: OrderSolution, other: OrderSolution) -> float:
     """
     zero = np.all(other.reflected.numbers == 0, axis=1)
     k_z = float(other.reflected.direction[zero, 2][0])
-    found = []
+    changes = []
     for a, b in ((one.reflected, other.reflected), (one.transmitted, other.transmitted)):
         each = np.sum((np.abs(a.jones) + np.abs(b.jones)) * np.abs(a.jones - b.jones), axis=1)
-        found.append((each * np.abs(b.direction[:, 2:]) / k_z).max(initial=0.0))
-    return float(max(found))
+        changes.append((each * np.abs(b.direction[:, 2:]) / k_z).max(initial=0.0))
+    return float(max(changes))
 
 
 def total(solution: OrderSolution) -> Array:

@@ -211,9 +211,9 @@ def propagating(stack: PeriodicStack, k0: float, transverse: Array, index: float
     spans = (cell.period_x, cell.period_y or 0.0)
     top = [int(np.ceil((index + np.hypot(*transverse)) * k0 / (2.0 * np.pi) * p)) for p in spans]
     grid = np.stack(np.meshgrid(*[np.arange(-t, t + 1) for t in top], indexing="ij"), axis=-1).reshape(-1, 2)
-    found = transverse + cell.wave_vectors(grid) / k0
-    keep = index**2 - np.sum(found**2, axis=1) > GRAZING
-    return grid[keep], found[keep]
+    waves = transverse + cell.wave_vectors(grid) / k0
+    keep = index**2 - np.sum(waves**2, axis=1) > GRAZING
+    return grid[keep], waves[keep]
 
 
 def transverse_axes(waves: Array, azimuth: Array | float) -> tuple[Array, Array]:

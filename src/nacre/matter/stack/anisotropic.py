@@ -162,8 +162,8 @@ def solve_anisotropic(
     jones_t = None
     if modes is not None:
         jones_t = np.sqrt(scale) * (modes @ (down + up))
-    found = scale * np.einsum("awji,lawjk,awkm->lawim", top.conj(), absorbed, top) if absorption else None
-    return AnisotropicResponse(jones, transmitted, found, jones_t)
+    absorbed_power = scale * np.einsum("awji,lawjk,awkm->lawim", top.conj(), absorbed, top) if absorption else None
+    return AnisotropicResponse(jones, transmitted, absorbed_power, jones_t)
 
 
 def _stack_arrays(
@@ -236,7 +236,7 @@ def field_of_layers(
 
     _, top = _reflection(solved(layers, bottom)[0], theta, n0)
     ends = np.cumsum([layer.thickness_nm for layer in layers])
-    found = []
+    fields = []
     for depth in np.clip(np.asarray(depths_nm, float), 0.0, ends[-1]):
         i = min(int(np.searchsorted(ends, depth, side="right")), len(layers) - 1)
         upper, lower = layers[i].split(depth - (ends[i] - layers[i].thickness_nm))
@@ -246,8 +246,8 @@ def field_of_layers(
         eps = np.einsum("ij,...jk,lk->...il", turn, lower.tensor, turn)
         eps = np.broadcast_to(eps, (waves.size, 3, 3))[None, ..., None]
         normal = -(kx[..., None] * h[..., 0, :] + eps[..., 2, 0, :] * e[..., 0, :] + eps[..., 2, 1, :] * e[..., 1, :])
-        found.append(np.sum(np.abs(e) ** 2, axis=-2)[0] + np.abs(normal / eps[..., 2, 2, :])[0] ** 2)
-    return np.array(found)
+        fields.append(np.sum(np.abs(e) ** 2, axis=-2)[0] + np.abs(normal / eps[..., 2, 2, :])[0] ** 2)
+    return np.array(fields)
 
 
 def _columns(a: Array, b: Array, c: Array, d: Array) -> Array:
@@ -293,12 +293,12 @@ def _substrate_reflection(
     order = np.argsort(-np.where(decays, np.sign(values.imag) * 2.0, np.sign(flux)), axis=-1, kind="stable")
     down = np.take_along_axis(vectors, order[..., None, :2], axis=-1)
     sorted_values = np.take_along_axis(values, order, axis=-1)
-    apart = sorted_values[..., :2, None] - sorted_values[..., None, 2:]
-    is_apart = np.abs(apart.prod(axis=(-2, -1))) > SEPARATION * np.abs(values).max(axis=-1) ** 4
+    differences = sorted_values[..., :2, None] - sorted_values[..., None, 2:]
+    is_separated = np.abs(differences.prod(axis=(-2, -1))) > SEPARATION * np.abs(values).max(axis=-1) ** 4
     # D^2 - s D + p of the upward modes maps onto the downward ones, which may lack two eigenvectors (Voigt waves)
     s, p = sorted_values[..., 2:].sum(axis=-1), sorted_values[..., 2:].prod(axis=-1)
     onto = d @ d - s[..., None, None] * d + p[..., None, None] * np.eye(4)
-    down = np.where(is_apart[..., None, None], onto @ np.array([[1, 0], [1, 0], [0, 1], [0, 1]]), down)
+    down = np.where(is_separated[..., None, None], onto @ np.array([[1, 0], [1, 0], [0, 1], [0, 1]]), down)
     e, h = down[..., [0, 2], :], down[..., [1, 3], :]
     return (e - h) @ np.linalg.inv(e + h), None
 

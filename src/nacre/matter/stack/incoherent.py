@@ -107,13 +107,13 @@ def incoherent_coherence(
     passage: Array = np.ones(1)
     for group in reversed(groups):
         r_s, r_p, t_s, t_p = run_kernel(group.down, True, False, None)[0]
-        found = r_p * r_s.conj()
+        coherence = r_p * r_s.conj()
         if total is not None:
             assert group.up is not None
             up_s, up_p, back_s, back_p = run_kernel(group.up, True, False, None)[0]
             below = passage**2 * total
-            found = found + t_p * back_p * (t_s * back_s).conj() * below / (1.0 - up_p * up_s.conj() * below)
-        total, passage = found, group.passage
+            coherence = coherence + t_p * back_p * (t_s * back_s).conj() * below / (1.0 - up_p * up_s.conj() * below)
+        total, passage = coherence, group.passage
     assert total is not None
     return np.asarray(total.reshape(*stack.batch, *stack.angle_shape, stack.shape[2]))
 

@@ -190,11 +190,11 @@ def _normal(
     if sum(x is not None for x in (theta_rad, cos_i, kappa, kz)) != 1:
         raise NacreError("give exactly one of theta_rad, cos_i, kappa, kz")
     if theta_rad is not None or cos_i is not None:
-        given = np.asarray(cos_i if theta_rad is None else theta_rad, dtype=np.float64)
+        angles = np.asarray(cos_i if theta_rad is None else theta_rad, dtype=np.float64)
         largest = 1.0 if theta_rad is None else np.pi / 2 + 1e-12
-        if not np.all((given >= 0) & (given <= largest)):
+        if not np.all((angles >= 0) & (angles <= largest)):
             raise NacreError("cos_i must be from 0 to 1" if theta_rad is None else "theta_rad must be from 0 to pi/2")
-        cosine = given if theta_rad is None else np.cos(given)
+        cosine = angles if theta_rad is None else np.cos(angles)
         if cosine.ndim > 1:
             raise NacreError(f"angles must be a number or a list, not an array of shape {list(cosine.shape)}")
         cosine = np.where(cosine < GRAZING_COS, 0.0, cosine)

@@ -165,16 +165,16 @@ def polarised_response(
     variants = _variants(turned, rays)
     if absorption and (len(variants) > 1 or any(layer.incoherent for layer in layers)):
         raise NacreError("the absorption of layers is defined only for coherent stacks without a spread of the pitch")
-    found = [(weight, _grouped(rays, variant, bottom, absorption)) for weight, variant in variants]
-    if len(found) == 1:
-        return found[0][1]
-    passed = [w * one.mueller_transmitted for w, one in found if one.mueller_transmitted is not None]
+    responses = [(weight, _grouped(rays, variant, bottom, absorption)) for weight, variant in variants]
+    if len(responses) == 1:
+        return responses[0][1]
+    passed = [w * one.mueller_transmitted for w, one in responses if one.mueller_transmitted is not None]
     return PolarisedResponse(
         None,
         None,
-        np.sum([w * one.mueller_reflected for w, one in found], axis=0),
+        np.sum([w * one.mueller_reflected for w, one in responses], axis=0),
         np.sum(passed, axis=0) if passed else None,
-        np.sum([w * one.entering for w, one in found], axis=0),
+        np.sum([w * one.entering for w, one in responses], axis=0),
     )
 
 
@@ -226,11 +226,11 @@ def _variants(layers: Sequence[PolarisedLayer], rays: _Rays) -> list[tuple[float
         made = [(float(w), [_with_pitch(e, float(x)) for e in layers]) for w, x in zip(weights, deviates, strict=True)]
     blurred = [i for i, layer in enumerate(layers) if layer.incoherent and layer.permittivity.ndim > 1]
     for i in blurred:
-        is_alone = len(blurred) == 1
+        is_single = len(blurred) == 1
         made = [
             (w * share, one)
             for w0, stack in made
-            for w, share, one in _blurred(w0, stack, i, rays.wavelengths_nm, is_alone)
+            for w, share, one in _blurred(w0, stack, i, rays.wavelengths_nm, is_single)
         ]
     return made
 
@@ -262,18 +262,18 @@ def _with_pitch(layer: PolarisedLayer, deviate: float) -> PolarisedLayer:
 
 
 def _blurred(
-    weight: float, stack: list[PolarisedLayer], i: int, waves: Array, is_alone: bool
+    weight: float, stack: list[PolarisedLayer], i: int, waves: Array, is_single: bool
 ) -> list[tuple[float, float, list[PolarisedLayer]]]:
     """Return weighted stacks with layer i's thickness spread over some fringes, which averages interference."""
     layer = stack[i]
     n = np.sqrt(np.trace(layer.permittivity, axis1=-2, axis2=-1).real / 3)
     fringe = float(np.mean(waves / (2 * n)))
-    fringes, per_fringe = (many[0 if is_alone else 1] for many in (FRINGES, FRINGE_STEPS))
+    fringes, per_fringe = (many[0 if is_single else 1] for many in (FRINGES, FRINGE_STEPS))
     steps = np.arange(1, fringes * per_fringe)
     turn = 2.0 * np.pi * steps / (fringes * per_fringe)
     hann: Array = 1.0 - np.cos(turn)
     terms = np.cos(np.arange(len(BLACKMAN_HARRIS))[:, None] * turn)
-    window = np.asarray(BLACKMAN_HARRIS) @ terms if is_alone else hann
+    window = np.asarray(BLACKMAN_HARRIS) @ terms if is_single else hann
     shifts = (steps / per_fringe - 0.5 * fringes) * fringe
     made = []
     for w, shift in zip(window / window.sum(), shifts, strict=True):
@@ -383,10 +383,10 @@ def polarised_field(
     ]
     turned, _ = anisotropic_layers([replace(e, permittivity=flipped(e.permittivity)) for e in padded])
     theta = min(theta_rad, 0.5 * np.pi - GRAZING)
-    found = field_of_layers(
+    fields = field_of_layers(
         index, turned, flipped(substrate), wavelengths_nm, theta, np.pi - azimuth_rad, z + above, slice_share
     )
-    return found[..., 1], found[..., 0]
+    return fields[..., 1], fields[..., 0]
 
 
 def _coherent(
@@ -395,7 +395,7 @@ def _coherent(
     from nacre.matter.stack.anisotropic import solve_anisotropic  # imports numba
 
     made, origin = anisotropic_layers(layers)
-    found = solve_anisotropic(
+    response = solve_anisotropic(
         rays.index,
         made,
         substrate,
@@ -407,17 +407,17 @@ def _coherent(
         jobs=rays.jobs,
     )
     absorbed = None
-    if found.absorbed is not None:
-        absorbed = np.zeros((len(layers), *found.absorbed.shape[1:3], 4))
-        for row, i in zip(found.absorbed, origin, strict=True):
+    if response.absorbed is not None:
+        absorbed = np.zeros((len(layers), *response.absorbed.shape[1:3], 4))
+        for row, i in zip(response.absorbed, origin, strict=True):
             absorbed[i] += _stokes_row(row)
-    through = found.jones_transmitted
+    through = response.jones_transmitted
     return PolarisedResponse(
-        found.jones_reflected,
+        response.jones_reflected,
         through,
-        mueller(found.jones_reflected),
+        mueller(response.jones_reflected),
         None if through is None else mueller(through),
-        _stokes_row(found.transmitted),
+        _stokes_row(response.transmitted),
         absorbed,
     )
 

@@ -207,7 +207,7 @@ def narrow_resonances(n: ComplexArray, thicknesses_nm: Array, wavelengths_nm: Ar
         wavelengths_nm: `[wavelength]`.
         kappa: `[sample, wavelength]`, ascending kx/k0 that bracket the resonances.
     """
-    found = []
+    resonances = []
     waves = np.broadcast_to(np.arange(len(wavelengths_nm)), kappa.shape)
     optical = thicknesses_nm * n[1:-1].real.mean(axis=1)
     for layer, p_polarised in product(np.argsort(-optical)[:MOST_RESONATORS].tolist(), (0, 1)):
@@ -230,8 +230,8 @@ def narrow_resonances(n: ComplexArray, thicknesses_nm: Array, wavelengths_nm: Ar
             low, below = np.where(is_left, at, low), np.where(is_left, here, below)
             high, above = np.where(is_left, high, at), np.where(is_left, above, here)
         share = below / np.where(below == above, 1.0, below - above)
-        found.append(np.stack([columns, low + (high - low) * np.clip(share, 0.0, 1.0)], axis=-1))
-    return np.concatenate(found) if found else np.zeros((0, 2))
+        resonances.append(np.stack([columns, low + (high - low) * np.clip(share, 0.0, 1.0)], axis=-1))
+    return np.concatenate(resonances) if resonances else np.zeros((0, 2))
 
 
 def _round_trip(

@@ -169,8 +169,8 @@ class Stack:
             azimuth_rad: azimuth of the direction towards the light, from the u axis; used by anisotropic stacks only.
         """
         if not self.is_isotropic:
-            found = self.polarised(theta_rad, wavelengths_nm, azimuth_rad, jobs=jobs)
-            r, t = found.mueller_reflected[..., 0, :], found.entering
+            response = self.polarised(theta_rad, wavelengths_nm, azimuth_rad, jobs=jobs)
+            r, t = response.mueller_reflected[..., 0, :], response.entering
             return Powers(r[..., 0] - r[..., 1], r[..., 0] + r[..., 1], t[..., 0] - t[..., 1], t[..., 0] + t[..., 1])
         n = self.indices(wavelengths_nm)
         if self.is_coherent:
@@ -189,14 +189,14 @@ class Stack:
             NacreError: an anisotropic stack with incoherent layers or a pitch spread.
         """
         if not self.is_isotropic:
-            lost = self.polarised(theta_rad, wavelengths_nm, absorption=True, jobs=jobs).absorbed
-            assert lost is not None
-            return lost[..., 0] - lost[..., 1], lost[..., 0] + lost[..., 1]
+            tensors = self.polarised(theta_rad, wavelengths_nm, absorption=True, jobs=jobs).absorbed
+            assert tensors is not None
+            return tensors[..., 0] - tensors[..., 1], tensors[..., 0] + tensors[..., 1]
         n = self.indices(wavelengths_nm)
         if self.is_coherent:
-            seen = solver.solve(n, self.thicknesses_nm, wavelengths_nm, theta_rad, absorption=True, jobs=jobs)
-            assert seen.A_s is not None and seen.A_p is not None
-            return seen.A_s, seen.A_p
+            response = solver.solve(n, self.thicknesses_nm, wavelengths_nm, theta_rad, absorption=True, jobs=jobs)
+            assert response.A_s is not None and response.A_p is not None
+            return response.A_s, response.A_p
         flags = [layer.incoherent for layer in self.layers]
         absorbed = incoherent_absorption(n, self.thicknesses_nm, flags, wavelengths_nm, theta_rad, jobs=jobs)
         return absorbed[0], absorbed[1]
@@ -351,15 +351,15 @@ def jones(
     azimuths = np.atleast_1d(np.asarray(azimuths_deg, dtype=float))
     theta = np.radians(np.atleast_1d(np.asarray(angles_deg, dtype=float)))
     if stack.is_isotropic:
-        found: Sequence[PolarisedResponse] = [stack.polarised(theta, wavelengths_nm, jobs=jobs)] * len(azimuths)
+        responses: Sequence[PolarisedResponse] = [stack.polarised(theta, wavelengths_nm, jobs=jobs)] * len(azimuths)
     else:
-        found = [stack.polarised(theta, wavelengths_nm, float(a), jobs=jobs) for a in np.radians(azimuths)]
-    reflected = [one.jones_reflected for one in found if one.jones_reflected is not None]
+        responses = [stack.polarised(theta, wavelengths_nm, float(a), jobs=jobs) for a in np.radians(azimuths)]
+    reflected = [one.jones_reflected for one in responses if one.jones_reflected is not None]
     if not reflected:
         raise NacreError(
             "a stack with incoherent layers or a spread of the pitch has no Jones matrix, only a Mueller matrix"
         )
-    passed = [one.jones_transmitted for one in found if one.jones_transmitted is not None]
+    passed = [one.jones_transmitted for one in responses if one.jones_transmitted is not None]
     if np.ndim(azimuths_deg) == 0:
         return reflected[0], passed[0] if passed else None
     return np.stack(reflected), np.stack(passed) if passed else None
@@ -368,10 +368,10 @@ def jones(
 def _isotropic(stack: Stack, theta_rad: Array, wavelengths_nm: Array, jobs: int | None) -> PolarisedResponse:
     n = stack.indices(wavelengths_nm)
     transmits = bool(np.max(n[-1].imag) < TRANSPARENT_K)
-    found = solver.solve(n, stack.thicknesses_nm, wavelengths_nm, theta_rad, jobs=jobs)
-    reflected = solver.jones_reflection(found)
-    passed = solver.jones_transmission(found) if transmits else None
-    zero = np.zeros_like(found.T_s)
-    entering = np.stack([found.transmittance, 0.5 * (found.T_p - found.T_s), zero, zero], axis=-1)
+    response = solver.solve(n, stack.thicknesses_nm, wavelengths_nm, theta_rad, jobs=jobs)
+    reflected = solver.jones_reflection(response)
+    passed = solver.jones_transmission(response) if transmits else None
+    zero = np.zeros_like(response.T_s)
+    entering = np.stack([response.transmittance, 0.5 * (response.T_p - response.T_s), zero, zero], axis=-1)
     through = None if passed is None else solver.mueller(passed)
     return PolarisedResponse(reflected, passed, solver.mueller(reflected), through, entering)
