@@ -123,7 +123,7 @@ class Blend(Model, EnergyDefect, Mixed):
         """Return the mean energy defect, weighted as the spectra."""
         weights = (self._share, 1.0 - self._share)
         parts = [energy_defect(part.model, theta_rad, wavelengths_nm, seed) for part in (self.first, self.second)]
-        known = [weight * lost for weight, lost in zip(weights, parts, strict=True) if lost is not None]
+        known = [weight * defects for weight, defects in zip(weights, parts, strict=True) if defects is not None]
         return np.sum(known, axis=0) if known else None
 
     @property

@@ -391,10 +391,10 @@ class Diffracting(Polarised):
             known = ", ".join(name for name in STOKES if self.has_mirror or name != "mueller")
             raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use {known}')
         theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
-        found = self.diffraction_orders(np.minimum(theta, MAX_THETA), azimuth_rad, wavelengths_nm)
-        lam, is_zero = found.wavelengths_nm, np.all(found.numbers == 0, axis=1)
+        orders = self.diffraction_orders(np.minimum(theta, MAX_THETA), azimuth_rad, wavelengths_nm)
+        lam, is_zero = orders.wavelengths_nm, np.all(orders.numbers == 0, axis=1)
         is_specular = is_zero & self.has_mirror
-        matrices = found.mueller()
+        matrices = orders.mueller()
         powers = [np.nan_to_num(m[..., 0, :] @ np.array(STOKES[polarisation])) for m in matrices]
         back, through = ([p[..., part].sum(axis=-1) for part in (is_specular, ~is_specular)] for p in powers)
         is_clear = self.transmits_orders(lam)

@@ -47,7 +47,7 @@ def family_spec(family: object, source: str) -> type[RecipeModel]:
     if not isinstance(family, str) or family not in names:
         hint = did_you_mean(family, names) if isinstance(family, str) else ""
         raise RecipeError(f"{source}: family = {show_value(family)} is not known.{hint} Families: {', '.join(names)}")
-    found = entry_points(GROUP, FAMILIES)[family].load()
-    if not (isinstance(found, type) and issubclass(found, RecipeModel)):
+    entry = entry_points(GROUP, FAMILIES)[family].load()
+    if not (isinstance(entry, type) and issubclass(entry, RecipeModel)):
         raise NacreError(f'entry point "{family}" of {GROUP} is not a RecipeModel')
-    return found
+    return entry

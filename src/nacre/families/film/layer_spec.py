@@ -225,10 +225,10 @@ class LayerBuilder:
         for count in SLICES:
             shares = [spec.graded.share((i + 0.5) / count, ratio) for i in range(count)]
             n = np.stack([np.ones_like(waves), *((1 - s) * ends[0] + s * ends[1] for s in shares), ends[1]])
-            found = powers(n, [spec.thickness_nm / count] * count, waves, np.radians([0.0, 60.0])).reflectance
-            if before is not None and np.max(np.abs(found - before)) < 3.0 * GRADED_ERROR:
+            spectra = powers(n, [spec.thickness_nm / count] * count, waves, np.radians([0.0, 60.0])).reflectance
+            if before is not None and np.max(np.abs(spectra - before)) < 3.0 * GRADED_ERROR:
                 break
-            before = found
+            before = spectra
         assert shares is not None
         for share in shares:
             model = Mixture((upper, lower), (1.0 - share, share), "linear")
@@ -259,12 +259,12 @@ def with_interface_layers(
     """
     key = "surface.interface_roughness_nm"
     count = len(layers) + 1
-    given = list(roughness_nm) if isinstance(roughness_nm, tuple) else [roughness_nm] * count
-    if len(given) != count:
-        raise context.fail(key, given, f"has {len(given)} values; the film has {count} interfaces")
+    depths_nm = list(roughness_nm) if isinstance(roughness_nm, tuple) else [roughness_nm] * count
+    if len(depths_nm) != count:
+        raise context.fail(key, depths_nm, f"has {len(depths_nm)} values; the film has {count} interfaces")
     media = [ends[0], *(layer.material for layer in layers), ends[1]]
     same_piece = [0 < i < count - 1 and _is_slice(layers[i - 1], layers[i]) for i in range(count)]
-    depths = [0.0 if same or a == b else d for d, same, a, b in zip(given, same_piece, media[:-1], media[1:])]
+    depths = [0.0 if same or a == b else d for d, same, a, b in zip(depths_nm, same_piece, media[:-1], media[1:])]
     made: list[FilmLayer] = []
     for i in range(count):
         if depths[i] > 0.0:
@@ -285,7 +285,7 @@ def _is_slice(one: FilmLayer, other: FilmLayer) -> bool:
     return one.path == other.path and "graded" in one.material.source and "graded" in other.material.source
 
 
-def _thinned(layer: FilmLayer, loss_nm: float, given: float | tuple[float, ...], context: RecipeContext) -> FilmLayer:
+def _thinned(layer: FilmLayer, loss_nm: float, depth: float | tuple[float, ...], context: RecipeContext) -> FilmLayer:
     if loss_nm == 0.0:
         return layer
     if isinstance(layer.thickness_nm, Texture):
@@ -294,7 +294,7 @@ def _thinned(layer: FilmLayer, loss_nm: float, given: float | tuple[float, ...],
         )
     if layer.thickness_nm < loss_nm:
         raise context.fail(
-            "surface.interface_roughness_nm", given, f"is wider than {layer.path} of {layer.thickness_nm:g} nm, "
+            "surface.interface_roughness_nm", depth, f"is wider than {layer.path} of {layer.thickness_nm:g} nm, "
             "from which the interfaces take half of their thickness",
         )  # fmt: skip
     return FilmLayer(layer.material, layer.thickness_nm - loss_nm, layer.incoherent, layer.helix, layer.path)

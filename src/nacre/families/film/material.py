@@ -186,15 +186,15 @@ class Film(Polarised):
             return _grid(low, high, max(step, SPREAD_STEP_NM) if has_spread else step)
         finer = [s for s in STEPS_NM if s < step * 0.999][:3]
         coarser = _grid(low, high, step)
-        seen = self._test_spectra(coarser)
+        spectra = self._test_spectra(coarser)
         for smaller in finer:
             closer = _grid(low, high, smaller)
             exact = self._test_spectra(closer)
-            between = np.stack([np.interp(closer, coarser, row) for row in seen])
+            between = np.stack([np.interp(closer, coarser, row) for row in spectra])
             change = delta_e_2000(reflected_lab(between, closer), reflected_lab(exact, closer))
             if float(np.max(change)) <= COLOUR_ERROR:
                 break
-            seen, coarser, step = exact, closer, smaller
+            spectra, coarser, step = exact, closer, smaller
         return _grid(low, high, step)
 
     def _optical_thickness_nm(self) -> float:
@@ -219,14 +219,14 @@ class Film(Polarised):
         sides = [layers]
         if self.transmits(lam):
             sides.append(layers[::-1])
-        found = 0.0
+        total_nm = 0.0
         for side in sides:
             left, optical = np.full(len(lam), -np.log(AMPLITUDE_CUTOFF)), np.zeros(len(lam))
             for n, thickest, thinnest, loss in side:
                 optical += n * np.minimum(thickest, left / np.maximum(loss, 1e-300))
                 left = np.maximum(left - loss * thinnest, 0.0)
-            found = max(found, float(np.max(optical)))
-        return found
+            total_nm = max(total_nm, float(np.max(optical)))
+        return total_nm
 
     def _test_spectra(self, wavelengths_nm: Array) -> Array:
         """Return the reflectance `[case, wavelength]` at the angles and thicknesses of the grid test."""
@@ -362,8 +362,8 @@ class Film(Polarised):
     @property
     def _middle_nm(self) -> Array:
         """Thicknesses `[layer]` at the centre of their ranges."""
-        given = [layer.thickness_nm for layer in self.layers]
-        return np.array([d.middle if isinstance(d, Texture) else d for d in given], dtype=float)
+        values = [layer.thickness_nm for layer in self.layers]
+        return np.array([d.middle if isinstance(d, Texture) else d for d in values], dtype=float)
 
     def _range(self, i: int) -> tuple[float, float]:
         texture = self.layers[i].thickness_nm
@@ -460,10 +460,10 @@ class Film(Polarised):
                 pick = {"s": (powers.R_s, powers.T_s), "p": (powers.R_p, powers.T_p)}
                 reflected, passed = pick.get(polarisation, (powers.reflectance, powers.transmittance))
             else:
-                found = self.stack.polarised(theta, lam, azimuth_rad)
-                matrices = found if polarisation == "mueller" else None
-                reflected = found.mueller_reflected[..., 0, :] @ np.array(STOKES[polarisation])
-                passed = found.entering @ np.array(STOKES[polarisation])
+                response = self.stack.polarised(theta, lam, azimuth_rad)
+                matrices = response if polarisation == "mueller" else None
+                reflected = response.mueller_reflected[..., 0, :] @ np.array(STOKES[polarisation])
+                passed = response.entering @ np.array(STOKES[polarisation])
             if self.base_albedo == 0 and self.transmits(lam):
                 transmitted = passed
         if self.ridges is not None or self.base_albedo > 0:

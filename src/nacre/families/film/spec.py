@@ -99,8 +99,8 @@ def colour_map(
     layer = leading_layer(film) if layer is None else layer
     if not 0 <= layer < len(film.layers):
         raise UnsupportedError(f"layer = {layer} does not exist; the film has {len(film.layers)}")
-    whole = np.linspace(0.0, _reach_nm(film, layer), 201)
-    runs = whole if thicknesses_nm is None else np.atleast_1d(np.asarray(thicknesses_nm, float))
+    full_range = np.linspace(0.0, _reach_nm(film, layer), 201)
+    runs = full_range if thicknesses_nm is None else np.atleast_1d(np.asarray(thicknesses_nm, float))
     angles = np.linspace(0.0, 85.0, 86) if angles_deg is None else np.atleast_1d(np.asarray(angles_deg, dtype=float))
     lam = film.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
     d = np.broadcast_to(film.stack.thicknesses_nm, (len(runs), len(film.layers))).copy()
@@ -262,8 +262,8 @@ class SurfaceSpec(RecipeModel):
         """Return the roughness."""
         texture: Texture | None = None
         if self.exponent is not None:
-            given = self.exponent if isinstance(self.exponent, tuple) else (self.exponent,)
-            widths = tuple(alpha_from_exponent(e) for e in given)
+            exponents = self.exponent if isinstance(self.exponent, tuple) else (self.exponent,)
+            widths = tuple(alpha_from_exponent(e) for e in exponents)
         elif isinstance(self.roughness, TextureSpec):
             texture = self.roughness.build(context, "surface.roughness")
             if not 0.001 <= texture.low <= texture.high <= 1.0:
@@ -440,9 +440,9 @@ class FilmSpec(RecipeModel):
             if isinstance(ridges, Mapping):
                 own = {**MORPHO["ridges"], **MORPHO_SUPERCELLS["ridges"]} if is_vector else MORPHO["ridges"]
                 # a length in any unit replaces the preset's
-                given = {str(key).rpartition("_")[0] or str(key) for key in ridges}
-                kept = {k: v for k, v in own.items() if (k.rpartition("_")[0] or k) not in given}
-                filled["ridges"] = {**kept, **ridges}
+                stems = {str(key).rpartition("_")[0] or str(key) for key in ridges}
+                unset = {k: v for k, v in own.items() if (k.rpartition("_")[0] or k) not in stems}
+                filled["ridges"] = {**unset, **ridges}
             return filled
         return data
 

@@ -68,9 +68,9 @@ class SupercellFilm(Film):
                 f'ridges.optics = "vector" is not solved: error {worst:.1g} of the orders; allowed: at most '
                 f'{LARGEST_ERROR:g}, by layers of smaller index or optics = "scalar"'
             )
-        found = [[solved_case(case, along) for case in cases] for along in ALONG]
-        solved = np.stack([np.stack([mean for mean, _ in each], axis=-1) for each in found])
-        rows = np.stack([normal for _, normal in found[0]], axis=-1)
+        tables = [[solved_case(case, along) for case in cases] for along in ALONG]
+        solved = np.stack([np.stack([mean for mean, _ in each], axis=-1) for each in tables])
+        rows = np.stack([normal for _, normal in tables[0]], axis=-1)
         table = ridge_table(solved, cases, ALONG_NODES)
         place = np.interp(lam, grid, np.arange(len(grid)))
         low = np.minimum(place.astype(int), max(len(grid) - 2, 0))
@@ -126,15 +126,15 @@ def colour_error(rows: Array, wavelengths_nm: Array) -> float:
     """
     count = len(rows)
     nodes = np.linspace(-1.0, 1.0, rows.shape[1])
-    seen = np.empty((count, len(VIEWS_DEG), rows.shape[2]))
+    views = np.empty((count, len(VIEWS_DEG), rows.shape[2]))
     for k, view in enumerate(VIEWS_DEG):
         low, high = np.sin(np.radians([view - HALF_VIEW_DEG, view + HALF_VIEW_DEG]))
         inside = np.mean([(nodes >= low) & (nodes <= high), (-nodes >= low) & (-nodes <= high)], axis=0)
-        seen[:, k] = np.einsum("b,dbl->dl", inside / inside.sum(), rows)
-    mean = seen.mean(axis=0)
+        views[:, k] = np.einsum("b,dbl->dl", inside / inside.sum(), rows)
+    mean = views.mean(axis=0)
     weights, white = xyz_weights(wavelengths_nm, "D65", "2deg"), white_xyz("D65", "2deg")
     scale = white[1] / max(float(mean[0] @ weights[:, 1]), 1e-30)
     lab = xyz_to_lab(mean @ weights * scale, white)
-    without = (mean * count - seen) / (count - 1)
+    without = (mean * count - views) / (count - 1)
     away = delta_e_2000(xyz_to_lab(without @ weights * scale, white), lab)
     return float(np.sqrt((count - 1) / count * np.sum(np.square(away), axis=0)).mean())

@@ -152,8 +152,8 @@ class EffectiveDispersion:
     def __call__(self, wavelengths_nm: Array) -> ComplexArray:
         """Return |n + ik| + 0i."""
         flat = np.ravel(wavelengths_nm)
-        found = np.abs(self.composite.effective_index(flat)) + 0j
-        return np.asarray(found.reshape(np.shape(wavelengths_nm)))
+        index = np.abs(self.composite.effective_index(flat)) + 0j
+        return np.asarray(index.reshape(np.shape(wavelengths_nm)))
 
 
 ROOT_TOL = 1e-9  # tolerance of a root against its bounds
@@ -183,7 +183,7 @@ def bruggeman(indices: ComplexArray, fractions: Array) -> ComplexArray:
     present = fractions > 0
     eps, share = indices[present] ** 2, fractions[present]
     low, high = indices[present].real.min(axis=0), indices[present].real.max(axis=0)
-    found = np.empty(indices.shape[1], dtype=complex)
+    permittivity = np.empty(indices.shape[1], dtype=complex)
     for i in range(indices.shape[1]):
         roots = np.sqrt(np.roots(_polynomial(eps[:, i], share)).astype(complex))
         roots = np.where(roots.real < 0, -roots, roots)
@@ -195,8 +195,8 @@ def bruggeman(indices: ComplexArray, fractions: Array) -> ComplexArray:
             )
         mean = np.sum(share * np.sqrt(eps[:, i]))
         near = roots[fits][np.argmin(np.abs(roots[fits] - mean))]
-        found[i] = _polished(near**2, eps[:, i], share)
-    n = np.sqrt(found)
+        permittivity[i] = _polished(near**2, eps[:, i], share)
+    n = np.sqrt(permittivity)
     return np.asarray(n.real + 1j * np.maximum(n.imag, 0.0))
 
 
@@ -280,17 +280,17 @@ def ball_light(medium: Medium, ratio: Array, radius_nm: float, walkers: int = WA
     share[0], share[-1] = 8 * np.pi * step**2 / 6, 8 * np.pi * step * (0.5 - step / 6)
 
     def solve(band: int) -> tuple[Array, float, float, float]:
-        found = np.zeros(TURN_NODES)
+        tally = np.zeros(TURN_NODES)
         depths = float(medium.scattering[band]) * radius_nm, float(medium.absorption[band]) * radius_nm
         passed, absorbed, carried = _walk_ball(
-            seed, walkers, float(ratio[band]), depths, quantiles[band], PASSED_COS, found
+            seed, walkers, float(ratio[band]), depths, quantiles[band], PASSED_COS, tally
         )
-        leaves = passed + float(found.sum())
-        return found / (walkers * share), passed / walkers, absorbed / walkers, carried / max(leaves, 1e-9)
+        leaves = passed + float(tally.sum())
+        return tally / (walkers * share), passed / walkers, absorbed / walkers, carried / max(leaves, 1e-9)
 
-    found = in_threads(solve, range(len(ratio)))
-    passed, absorbed, carried = (np.array([f[i] for f in found]) for i in (1, 2, 3))
-    return BallLight(np.stack([f[0] for f in found]), passed, absorbed, carried)
+    results = in_threads(solve, range(len(ratio)))
+    passed, absorbed, carried = (np.array([f[i] for f in results]) for i in (1, 2, 3))
+    return BallLight(np.stack([f[0] for f in results]), passed, absorbed, carried)
 
 
 @compiled(nogil=True, fastmath=True)
@@ -371,8 +371,8 @@ def _walk_ball(seed, count, ratio, depths, quantile, forward, out):
             passed += share
         else:
             _add(out, mirrored, share)
-        carried, cos, height, lost = _follow(b, c, ratio, depths, quantile)
-        absorbed += lost
+        carried, cos, height, loss = _follow(b, c, ratio, depths, quantile)
+        absorbed += loss
         carried_on += carried * (height + c)
         if cos > forward:
             passed += carried
@@ -420,15 +420,15 @@ class Balls:
         binder = self.effective_index(wavelengths_nm)
         light = ball_light(inside, inside.index / binder.real, self.radius_nm, self.walkers, seed)
         flight = 4 / 3 * (1 - self.volume_fraction) / self.volume_fraction
-        met = 1 / (self.radius_nm * (flight + np.clip(light.carried, 0.0, 4 / 3)))
+        collisions = 1 / (self.radius_nm * (flight + np.clip(light.carried, 0.0, 4 / 3)))
         nodes = np.linspace(-1.0, 1.0, PHASE_NODES)
         table = _at_cosines(light.density, nodes)
         step = nodes[1] - nodes[0]
         total = 2 * np.pi * step * (table.sum(axis=1) - 0.5 * (table[:, 0] + table[:, -1]))
         cosines, weights = gauss_legendre(GAUSS_NODES)
         # any phase function for balls without scattering
-        is_seen = (total > 0)[:, None]
-        phase = np.where(is_seen, table / np.where(is_seen, total[:, None], 1.0), 0.25 / np.pi)
+        scatters = (total > 0)[:, None]
+        phase = np.where(scatters, table / np.where(scatters, total[:, None], 1.0), 0.25 / np.pi)
         shares = 2 * np.pi * weights * np.stack([np.interp(cosines, nodes, row) for row in phase])
         shares = shares / shares.sum(axis=1, keepdims=True)
         between = (1 - self.volume_fraction) * 4 * np.pi * binder.imag / wavelengths_nm
@@ -436,8 +436,8 @@ class Balls:
             wavelengths_nm=wavelengths_nm,
             index=np.abs(binder),
             # scattering of the table as interpolated, without the forward light that it misses
-            scattering=met * total,
-            absorption=met * light.absorbed + between,
+            scattering=collisions * total,
+            absorption=collisions * light.absorbed + between,
             asymmetry=shares @ cosines,
             phase=phase,
             moments=shares @ np.polynomial.legendre.legvander(cosines, moments - 1),
@@ -447,5 +447,5 @@ class Balls:
 def _at_cosines(density: Array, cosines: Array) -> Array:
     """Interpolate `[wavelength, turn]` to cosines."""
     turns = np.linspace(0.0, 1.0, density.shape[1])
-    wanted = np.sqrt(np.maximum(0.5 * (1 - cosines), 0.0))
-    return np.stack([np.interp(wanted, turns, row) for row in density])
+    at = np.sqrt(np.maximum(0.5 * (1 - cosines), 0.0))
+    return np.stack([np.interp(at, turns, row) for row in density])

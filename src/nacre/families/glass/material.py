@@ -155,8 +155,8 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         cos = np.where(theta >= np.pi / 2, 0.0, np.cos(theta))
         is_open = self.base.kind == "none"
         if not self.surface.is_smooth or (is_open and not self.base.surface.is_smooth):
-            found = self._estimated(theta, lam) if self.quality == "fast" else None
-            return found or (self._spectrum_by_walks(theta, lam, seed) if self._has_compiled_walk else None)
+            powers = self._estimated(theta, lam) if self.quality == "fast" else None
+            return powers or (self._spectrum_by_walks(theta, lam, seed) if self._has_compiled_walk else None)
         parts = np.stack([slab.powers(cos) for slab in self._slabs(lam, 1)], axis=-1)
         return Spectrum(
             lam, np.degrees(theta), parts[0], parts[1] if is_open else None, parts[2], parts[3] if is_open else None
@@ -188,7 +188,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         last = np.radians(89.99)
         nodes = theta if len(theta) <= WALK_ANGLES else np.linspace(0.0, last, WALK_ANGLES)
         index = float(self.composite.walk_index)
-        found = [
+        walked = [
             walk(
                 self._medium(lam), self.thickness_nm, None if is_open else self._albedo(lam),
                 float(np.cos(min(angle, last))), walkers=SPECTRUM_WALKERS, upper=Face.of(self.surface, index),
@@ -196,8 +196,8 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
             )
             for i, angle in enumerate(nodes)
         ]  # fmt: skip
-        back = np.stack([f.surface + f.reflected.sum(axis=0) for f in found])
-        through = np.stack([f.transmitted for f in found])
+        back = np.stack([f.surface + f.reflected.sum(axis=0) for f in walked])
+        through = np.stack([f.transmitted for f in walked])
         if len(nodes) < len(theta):
             spread = spline_matrix(nodes, np.minimum(theta, last))
             back, through = (np.clip(spread @ part, 0.0, 1.0) for part in (back, through))
@@ -402,10 +402,10 @@ def colour_map(
     thicknesses = np.geomspace(max(least, 0.1 * thickness_nm), 4 * thickness_nm, MAP_THICKNESSES)
     rows = []
     for thickness in thicknesses:
-        found = spectrum(float(thickness), np.radians(angles), MAP_NM)
-        if found is None:
+        spectra = spectrum(float(thickness), np.radians(angles), MAP_NM)
+        if spectra is None:
             raise UnsupportedError("a map over the thickness is known of one stratum over a plain base only")
-        values = found.diffuse_reflectance if part == "diffuse" else found.specular_reflectance
+        values = spectra.diffuse_reflectance if part == "diffuse" else spectra.specular_reflectance
         rows.append(np.zeros((len(angles), len(MAP_NM))) if values is None else values)
     return {
         "y": thicknesses / 1e3,

@@ -161,10 +161,10 @@ def phase_quantiles(phase: Array, count: int = QUANTILE_NODES) -> Array:
     for where in np.ndindex(phase.shape[:-1]):
         p = phase[where]
         running = np.concatenate([[0.0], np.cumsum((p[1:] + p[:-1]) / 2) * step])
-        wanted = u * running[-1]
-        i = np.clip(np.searchsorted(running, wanted, side="right") - 1, 0, len(p) - 2)
+        targets = u * running[-1]
+        i = np.clip(np.searchsorted(running, targets, side="right") - 1, 0, len(p) - 2)
         # within a cell the density is linear: its integral is inverted without cancellation
-        left, slope, rest = p[i], (p[i + 1] - p[i]) / step, wanted - running[i]
+        left, slope, rest = p[i], (p[i + 1] - p[i]) / step, targets - running[i]
         reach = np.sqrt(np.maximum(left**2 + 2 * slope * rest, 0.0)) + left
         out[where] = np.clip(nodes[i] + np.where(reach > 0, 2 * rest / np.where(reach > 0, reach, 1.0), 0.0), -1, 1)
     return out

@@ -101,13 +101,13 @@ def slab_operators(cos: Array, weight: Array, moments: Array, albedo: float, dep
     shape = np.linalg.solve(turned, vectors)  # L^-T V
     tanh = np.tanh(k * half)
     small = k * half < 1e-6
-    alike = k * tanh
+    symmetric = k * tanh
     opposite = np.where(small, 1 / half, k / np.where(small, 1.0, tanh))
-    found = []
-    for rate in (alike, opposite):
+    parts = []
+    for rate in (symmetric, opposite):
         g = (shape * rate[:, None, :]) @ np.swapaxes(shape, -1, -2)
-        found.append(np.linalg.solve(one + g, one - g))
-    return np.stack([(found[0] + found[1]) / 2, (found[0] - found[1]) / 2], axis=1)
+        parts.append(np.linalg.solve(one + g, one - g))
+    return np.stack([(parts[0] + parts[1]) / 2, (parts[0] - parts[1]) / 2], axis=1)
 
 
 def harmonics(count: int, modes: int, cos: Array) -> Array:
@@ -168,14 +168,14 @@ class Slab:
         extinction = scattering + float(medium.absorption[band])
         at = Directions.of(max(float(medium.index[band]), 1.0))
         depth, albedo = extinction * thickness_nm, scattering / extinction
-        bare = slab_operators(at.cos, at.weight, medium.moments[band], albedo, depth, modes)
+        operators = slab_operators(at.cos, at.weight, medium.moments[band], albedo, depth, modes)
         one, inner = np.eye(len(at.cos)), at.reflectance
         count = len(at.outer)
         reflect = np.zeros((modes, count, count))
         transmit = np.zeros((count, count))
         leaves = (1 - inner)[:count]
         for m in range(modes):
-            r, t = bare[m]
+            r, t = operators[m]
             below = np.zeros_like(r)
             if base is None:
                 below = np.diag(inner)
@@ -204,13 +204,13 @@ class Slab:
         """
         at = self.directions
         flux = at.flux[: len(at.outer)]
-        bare = face(at.outer, at.index)
+        fresnel_r = face(at.outer, at.index)
         sums = [(flux @ part) / flux for part in (self.reflect[0], self.transmit)]
         at_cos = np.clip(np.asarray(cos, dtype=float), 0.0, 1.0)
         enters = 1 - face(at_cos, at.index)
         spread = interpolation(at.outer, at_cos)
         # relative to the transmitted light, powers are smooth in the outer cosine
-        reflected, transmitted = (enters * (spread @ (part / (1 - bare))) for part in sums)
+        reflected, transmitted = (enters * (spread @ (part / (1 - fresnel_r))) for part in sums)
         surface = 1 - enters
         if not self.is_open:
             return surface, np.zeros_like(surface), reflected, np.zeros_like(surface)
@@ -245,9 +245,9 @@ class Slab:
 
     def _mirrored(self, cos: Array) -> Array:
         """Return the specular reflection `[cos]` by the lower face of an open slab."""
-        bare = face(cos, self.directions.index)
+        fresnel_r = face(cos, self.directions.index)
         passed = self._passed(cos)
-        return np.asarray((1 - bare) ** 2 * bare * passed**2 / (1 - (bare * passed) ** 2))
+        return np.asarray((1 - fresnel_r) ** 2 * fresnel_r * passed**2 / (1 - (fresnel_r * passed) ** 2))
 
     def _passed(self, cos: Array) -> Array:
         inside = np.sqrt(np.maximum(1 - (1 - cos**2) / self.directions.index**2, 1e-18))
@@ -285,9 +285,9 @@ def brdf_table(medium: Medium, band: int, slab: Slab, theta: Array, dphi: Array)
     functions = harmonics(medium.moments.shape[1], count, inner)
     once = _missing(medium, band, slab, inner[:, None, None], inner[None, :, None], dphi)
     weights = _weights(medium, band, count)
-    kept = np.einsum("mli,ml,mlo,mp->iop", functions, weights, functions, waves, optimize=True)
+    truncated = np.einsum("mli,ml,mlo,mp->iop", functions, weights, functions, waves, optimize=True)
     i, o = inner[:, None, None], inner[None, :, None]
-    values = values + once - kept * _order_one(slab, i, o)
+    values = values + once - truncated * _order_one(slab, i, o)
     enters = 1 - face(cos, slab.directions.index)
     return np.asarray(np.maximum(values * enters[:, None, None] * enters[None, :, None], 0.0))
 
@@ -303,9 +303,9 @@ def brdf_pairs(medium: Medium, band: int, slab: Slab, wi: Array, wo: Array) -> A
     index = slab.directions.index
     inner_i, inner_o = _inside(cos_i, slab), _inside(cos_o, slab)
     first, second = (harmonics(medium.moments.shape[1], count, inner) for inner in (inner_i, inner_o))
-    kept = np.einsum("mlp,ml,mlp,mp->p", first, _weights(medium, band, count), second, waves)
+    truncated = np.einsum("mlp,ml,mlp,mp->p", first, _weights(medium, band, count), second, waves)
     once = _missing(medium, band, slab, inner_i, inner_o, dphi)
-    values = np.sum(modes * waves, axis=0) + once - kept * _order_one(slab, inner_i, inner_o)
+    values = np.sum(modes * waves, axis=0) + once - truncated * _order_one(slab, inner_i, inner_o)
     return np.asarray(np.maximum(values * (1 - face(cos_i, index)) * (1 - face(cos_o, index)), 0.0))
 
 

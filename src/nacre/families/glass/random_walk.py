@@ -119,12 +119,12 @@ def walk(
         )  # fmt: skip
         return up / each, surface / each, down / each, events
 
-    found = in_threads(chunk, [(band, part) for band in range(bands) for part in range(CHUNKS)])
-    up = np.stack([f[0] for f in found]).reshape(bands, CHUNKS, bins)
-    surface, down = (np.array([f[i] for f in found]).reshape(bands, CHUNKS) for i in (1, 2))
+    results = in_threads(chunk, [(band, part) for band in range(bands) for part in range(CHUNKS)])
+    up = np.stack([f[0] for f in results]).reshape(bands, CHUNKS, bins)
+    surface, down = (np.array([f[i] for f in results]).reshape(bands, CHUNKS) for i in (1, 2))
     error = [part.std(axis=1, ddof=1) / math.sqrt(CHUNKS) for part in (up.sum(axis=2), down)]
     return SlabLight(
-        surface.mean(axis=1), up.mean(axis=1).T, down.mean(axis=1), error[0], error[1], sum(f[3] for f in found)
+        surface.mean(axis=1), up.mean(axis=1).T, down.mean(axis=1), error[0], error[1], sum(f[3] for f in results)
     )
 
 

@@ -245,7 +245,7 @@ def _check_layer(thickness_nm: float, spheres: SpheresSpec, balls: BallsSpec | N
         ValueError: inconsistent values.
     """
     across = MIN_LAYERS * 2 * spheres.outer_nm
-    least, held = (across, "spheres") if balls is None else (MIN_LAYERS * 2 * balls.radius_nm, "balls")
+    least, extent = (across, "spheres") if balls is None else (MIN_LAYERS * 2 * balls.radius_nm, "balls")
     if balls is not None and 2 * balls.radius_nm < across:
         raise ValueError(
             f"balls.radius_um = {balls.radius_nm / 1e3:g} is not allowed; {MIN_LAYERS} spheres should fit across "
@@ -253,7 +253,7 @@ def _check_layer(thickness_nm: float, spheres: SpheresSpec, balls: BallsSpec | N
         )
     if thickness_nm < least:
         raise ValueError(
-            f"thickness_um = {thickness_nm / 1e3:g} is not allowed; it should hold {MIN_LAYERS} {held}, "
+            f"thickness_um = {thickness_nm / 1e3:g} is not allowed; it should hold {MIN_LAYERS} {extent}, "
             f"at least {least / 1e3:g}"
         )
     if model.effective_index == "maxwell-garnett" and spheres.shell is not None:
@@ -380,10 +380,10 @@ class GlassSpec(RecipeModel):
         return nested_strata(data, "glass")
 
     def model_post_init(self, _: Any) -> None:
-        given = [key for key in OF_ONE_LAYER if key in self.model_fields_set]
+        layer_keys = [key for key in OF_ONE_LAYER if key in self.model_fields_set]
         if self.strata:
-            if given:
-                raise ValueError(f"gives strata and {given[0].replace('_nm', '_um')}; write every layer in strata")
+            if layer_keys:
+                raise ValueError(f"gives strata and {layer_keys[0].replace('_nm', '_um')}; write every layer in strata")
             return
         for key in ("thickness_nm", "spheres"):
             if getattr(self, key) is None:

@@ -101,8 +101,8 @@ def _solve(surface: Roughness, index: float) -> RoughInterface:
     root = np.linspace(0.0, 1.0, len(through))
     weight = 4 * root**3
     escape = float(np.sum(weight * through) / np.sum(weight * (1 - face(root**2, index))))
-    lost = 0.0 if surface.compensate else float(mean[1])
-    return RoughInterface(index, through, loss[0], max(float(mean[0]), 1e-12), outward, escape, lost)
+    escaping = 0.0 if surface.compensate else float(mean[1])
+    return RoughInterface(index, through, loss[0], max(float(mean[0]), 1e-12), outward, escape, escaping)
 
 
 CELL_NODES = 6
@@ -171,13 +171,13 @@ def behind_rough(table: TableLobe, medium: Medium, slabs: list[Slab], surface: R
     if interface is None:
         return table
     cos = np.cos(np.linspace(0, np.pi / 2, THETA_NODES))
-    kept = np.array([interface.internal_factor(slab) for slab in slabs])
+    internal = np.array([interface.internal_factor(slab) for slab in slabs])
     entered = np.append(1 - face(cos[:-1], interface.index), 1.0)
     below = table.values / entered[:, None, None, None] / entered[:, None, None]
     below[-1] = np.maximum(2 * below[-2] - below[-3], 0.0)
     below[:, -1] = np.maximum(2 * below[:, -2] - below[:, -3], 0.0)
     share = interface.entering(np.append(cos[:-1], 0.0))
-    return replace(table, values=below * kept * share[:, None, None, None] * share[:, None, None])
+    return replace(table, values=below * internal * share[:, None, None, None] * share[:, None, None])
 
 
 def face_lobe(medium: Medium, surface: Roughness) -> Lobe:
@@ -235,13 +235,13 @@ def incidence_error(
     mean = (table.values.sum(axis=2) - ends) / (AZIMUTH_NODES - 1)
     nodes = np.einsum("o,iol->il", table_weights(theta), mean)
     low, share = cell(at / theta[1], THETA_NODES)
-    found = nodes[low] * (1 - share)[:, None] + nodes[low + 1] * share[:, None]
+    interpolated = nodes[low] * (1 - share)[:, None] + nodes[low + 1] * share[:, None]
     exact = np.stack([slab.powers(cos)[2] for slab in slabs], axis=-1)
     interface = RoughInterface.behind(surface, medium)
     if interface is not None:
-        kept = np.array([interface.internal_factor(slab) for slab in slabs])
-        exact = exact * (interface.over_smooth(cos) * interface.escape)[:, None] * kept
-    return AngleErrors((at[:, None], np.abs(found - exact) + _face_error(front, medium, interface)))
+        internal = np.array([interface.internal_factor(slab) for slab in slabs])
+        exact = exact * (interface.over_smooth(cos) * interface.escape)[:, None] * internal
+    return AngleErrors((at[:, None], np.abs(interpolated - exact) + _face_error(front, medium, interface)))
 
 
 def _face_error(front: Lobe, medium: Medium, interface: RoughInterface | None) -> float:
@@ -252,8 +252,8 @@ def _face_error(front: Lobe, medium: Medium, interface: RoughInterface | None) -
         mirrored = front.specular(cos).reflectance if front.is_delta else exact
         return float(np.max(np.abs(mirrored - exact)))
     theta = np.radians(FACE_DEG)
-    found = [front.hemispherical(np.array([np.sin(t), 0.0, np.cos(t)]))[0] for t in theta]
-    return float(np.max(np.abs(np.stack(found) - interface.mirrored(np.cos(theta))[:, None])))
+    reflectance = [front.hemispherical(np.array([np.sin(t), 0.0, np.cos(t)]))[0] for t in theta]
+    return float(np.max(np.abs(np.stack(reflectance) - interface.mirrored(np.cos(theta))[:, None])))
 
 
 def _checked(medium: Medium) -> NDArray[np.intp]:
@@ -284,7 +284,7 @@ def walk_error(
         theta = np.radians(degrees)
         wi = np.broadcast_to([np.sin(theta), 0.0, np.cos(theta)], wo.shape)
         light = table.evaluate(wi, wo)[..., bands].mean(axis=1) * fine[:, None]
-        ours = 2 * np.pi * light.reshape(CHECK_BINS, MIDPOINTS[0], -1).sum(axis=1) / len(fine)
+        tabulated = 2 * np.pi * light.reshape(CHECK_BINS, MIDPOINTS[0], -1).sum(axis=1) / len(fine)
         walks = [
             walk(
                 few, thickness_nm, albedo[bands], float(np.cos(theta)), walkers=CHECK_WALKERS,
@@ -293,8 +293,8 @@ def walk_error(
             for i in range(2)
         ]  # fmt: skip
         # the product of two independent differences has no noise in the mean
-        first, second = (one - ours for one in walks)
+        first, second = (one - tabulated for one in walks)
         noise = np.sum((walks[0] - walks[1]) ** 2, axis=0) / 4
         error += np.maximum(np.sum(first * second, axis=0), 0.0) + (NOISE_SHARE**2) * noise
-        size += np.sum(ours**2, axis=0)
+        size += np.sum(tabulated**2, axis=0)
     return np.asarray(np.sqrt(error / np.maximum(size, 1e-30)))

@@ -46,10 +46,10 @@ MOST_DIRECT = 1000  # number of solutions from which a table over all directions
 NODE_RATIO = 0.12  # relative distance between neighbouring nodes of a period
 
 
-def _diffuse(lost: Array, wavelengths_nm: Array) -> Diffuse:
+def _diffuse(share: Array, wavelengths_nm: Array) -> Diffuse:
     """Return a reciprocal lobe that spreads the light lost from the orders, `[theta, wavelength]`, over all exits."""
     cosines = np.linspace(0.0, 1.0, MIRROR_NODES)
-    entry = interpolate(lost, (np.arccos(cosines) / (0.5 * np.pi) * (len(lost) - 1),))
+    entry = interpolate(share, (np.arccos(cosines) / (0.5 * np.pi) * (len(share) - 1),))
     x, weight = gauss_legendre(64)
     mu = 0.5 * (x + 1.0)
     mean = np.einsum("q,ql->l", weight * mu, take_uniform(entry, mu, 0))
@@ -156,9 +156,9 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
                     (shape, complex(e[k]), wall) for (shape, _, wall), e in zip(layer.shapes, values, strict=True)
                 ]  # fmt: skip
                 layers += sliced(layer.thickness_nm, complex(ground[k]), shapes, count)
-                whole = PatternLayer(layer.thickness_nm, complex(ground[k]), tuple((s, e) for s, e, _ in shapes))
+                pattern = PatternLayer(layer.thickness_nm, complex(ground[k]), tuple((s, e) for s, e, _ in shapes))
                 insets = (float(wall.insets(layer.thickness_nm, np.zeros(1))[0]) for _, _, wall in shapes)
-                tilted.append((whole, tuple(insets)))
+                tilted.append((pattern, tuple(insets)))
             refined = partial(made, k) if is_sloped and count == COARSE else None
             return PeriodicStack(
                 self.cell, float(cover[k]), tuple(layers), complex(substrate[k]), self.profile, refined,
@@ -181,10 +181,10 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
     @property
     def warnings(self) -> tuple[str, ...]:
         """A warning if the orders are narrower than the requested width."""
-        width, asked = np.degrees([self.order_width_rad, self.spread.angle_rad])
-        if width > 0.99 * asked:
+        width, widths = np.degrees([self.order_width_rad, self.spread.angle_rad])
+        if width > 0.99 * widths:
             return ()
-        return (f"orders.spread_deg = {asked:.3g} makes orders overlap; they are {width:.2g} degrees wide",)
+        return (f"orders.spread_deg = {widths:.3g} makes orders overlap; they are {width:.2g} degrees wide",)
 
     @property
     def coarse_warning(self) -> str:
@@ -202,13 +202,13 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
         stacks = dict(zip(lam.tolist(), self.stacks(lam), strict=True))
         azimuth = azimuth_rad - np.radians(self.turn_deg)
         if self.is_coarse:
-            found = coarse_orders(lambda w: stacks[w], theta_rad, azimuth, lam)
+            orders = coarse_orders(lambda w: stacks[w], theta_rad, azimuth, lam)
         else:
-            found = solve_orders(lambda w: stacks[w], theta_rad, azimuth, lam, self.tolerance)
+            orders = solve_orders(lambda w: stacks[w], theta_rad, azimuth, lam, self.tolerance)
         turn = rotation_about_z(np.radians(self.turn_deg)).T  # rows: axes of the lattice in the surface's frame
         return replace(
-            found, azimuth_rad=azimuth_rad, reflected_direction=found.reflected_direction @ turn,
-            transmitted_direction=found.transmitted_direction @ turn,
+            orders, azimuth_rad=azimuth_rad, reflected_direction=orders.reflected_direction @ turn,
+            transmitted_direction=orders.transmitted_direction @ turn,
         )  # fmt: skip
 
     def transmits_orders(self, wavelengths_nm: Array) -> bool:
@@ -297,8 +297,8 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
         warnings: list[str] = []
         for part in (each for t in tables for each in (t.mirror, t.passed, t.reflected.sum(axis=2))):
             some = part[: -1 : len(part) // 2, : -1 : max(part.shape[1] // 4, 1)]  # 0 and 45 degrees, four azimuths
-            if not warnings and (said := sampling_warning(some, lam)):
-                warnings.append(said)
+            if not warnings and (remark := sampling_warning(some, lam)):
+                warnings.append(remark)
         if error > largest:
             warnings.append(f"the table of its orders has errors up to {error:.2g}; nacre orders solves better")
         if between > largest:
@@ -317,20 +317,20 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
         if not len(first.orders):
             return Bsdf(tuple(lobes), notes)
         outer, width = float(np.mean(self.ambient.n_complex(lam).real)), self._order_width(lam)
-        kept = [self.spread.coherent_share(t.orders @ t.lattice)[:, None].astype(np.float32) for t in tables]
+        coherent = [self.spread.coherent_share(t.orders @ t.lattice)[:, None].astype(np.float32) for t in tables]
         for name, index in (("reflected", 0.0), ("transmitted", eta)):
-            parts = [getattr(t, name) * share for t, share in zip(tables, kept, strict=True)]
+            parts = [getattr(t, name) * share for t, share in zip(tables, coherent, strict=True)]
             if name == "transmitted" and (index == 0.0 or not any(np.any(part) for part in parts)):
                 continue
             power = np.stack(parts) if axes else parts[0]
             lattice = first.lattice / outer
             lobes.append(OrdersLobe(lam, power, lattice, first.orders, width, self._rotation, index, axes))
-        if any(np.any(share < 1.0) for share in kept):
-            lost = [
+        if any(np.any(share < 1.0) for share in coherent):
+            diffuse = [
                 np.einsum("taow,o->tw", t.reflected[:, :-1], 1.0 - share[:, 0]) / (t.mirror.shape[1] - 1)
-                for t, share in zip(tables, kept, strict=True)
+                for t, share in zip(tables, coherent, strict=True)
             ]
-            lobes.append(_diffuse(np.mean(lost, axis=0), lam))
+            lobes.append(_diffuse(np.mean(diffuse, axis=0), lam))
         return Bsdf(tuple(lobes), notes)
 
     def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
@@ -355,12 +355,12 @@ class Grating(Diffracting, DirectEvaluation, Pixels, Fabricable):
             return None
         waved = [(stacks[w], float(wavelengths_nm[w]), t, p) for w, t, p in distinct]
         solved = dict(zip(distinct, solutions_of(waved, self.tolerance, self.is_coarse), strict=True))
-        found = np.zeros(bell.shape)
+        values = np.zeros(bell.shape)
         for k, case in enumerate(cases):  # as in `OrdersLobe`, the mean over exchanged directions
             side, at = solved[case].reflected, (pairs[k % len(pairs)], waves[k % len(pairs)])
             is_own = np.all(side.numbers == lobe.orders[number[at]], axis=1)
-            found[at] += 0.5 * bell[at] * float(side.efficiency[is_own].mean(axis=1).sum())
-        return found
+            values[at] += 0.5 * bell[at] * float(side.efficiency[is_own].mean(axis=1).sum())
+        return values
 
     @property
     def line_nm(self) -> float:

@@ -304,10 +304,10 @@ class ShapeSpec(RecipeModel):
             raise RecipeError(
                 f"{context.source}: {key}.cell is missing; allowed: {', '.join(c.name for c in top[:20])}"
             )
-        found = top[0]
-        polygons = found.get_polygons(layer=self.layer, datatype=0) if isinstance(found, gdstk.Cell) else []
+        chosen = top[0]
+        polygons = chosen.get_polygons(layer=self.layer, datatype=0) if isinstance(chosen, gdstk.Cell) else []
         if not polygons:
-            every = found.get_polygons() if isinstance(found, gdstk.Cell) else []
+            every = chosen.get_polygons() if isinstance(chosen, gdstk.Cell) else []
             layers = ", ".join(str(n) for n in sorted({p.layer for p in every if p.datatype == 0})) or "none"
             raise context.fail(
                 f"{key}.layer", self.layer,

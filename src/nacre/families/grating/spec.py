@@ -318,10 +318,10 @@ class GratingSpec(RecipeModel):
         Raises:
             RecipeError: it leaves the allowed range, or the structure is not periodic.
         """
-        given = self.lattice.period_nm
-        if not isinstance(given, TextureSpec):
+        period = self.lattice.period_nm
+        if not isinstance(period, TextureSpec):
             return None
-        texture = given.build(context, "lattice.period_nm")
+        texture = period.build(context, "lattice.period_nm")
         most = MAX_PERIOD_NM if self.lattice.build(self._is_lines).period_y is None else MAX_CROSSED_NM
         if not MIN_PERIOD_NM <= texture.low <= texture.high <= most:
             raise RecipeError(

@@ -156,8 +156,8 @@ class Ensemble:
             angle = np.arcsin(sines)
             step = np.floor(angle / WIDEST * LIGHTS[below]) + rng.random(len(every))
             _, lights = np.unique(np.floor(step[np.argsort(step)]), return_index=True)
-            seen, lit = views[np.argsort(angle[views])], np.argsort(step)[lights]
-            out.append((self.side(every[seen], below), self.side(every[lit], below)))
+            viewed, lit = views[np.argsort(angle[views])], np.argsort(step)[lights]
+            out.append((self.side(every[viewed], below), self.side(every[lit], below)))
         return out
 
     def side(self, wavevectors: Array, below: bool) -> Side:
@@ -176,7 +176,7 @@ class Ensemble:
         sides = self._sides(cell)
         arriving = PlaneWaves.of([self.waves(light, False) for _, light in sides])
         solved = self.lattice.solve(cell, arriving)
-        found: dict[ensemble_ratio.Block, ensemble_ratio.Sums] = {}
+        sums: dict[ensemble_ratio.Block, ensemble_ratio.Sums] = {}
         counts = [len(light.wavevectors) for _, light in sides]
         edges = np.cumsum([0, *(2 * c for c in counts)])
         required = ensemble_ratio.blocks(layer.transmits_below)
@@ -191,8 +191,8 @@ class Ensemble:
                         a, b, q, p = block
                         block, pairs = (b, a, p, q), pairs.exchanged()
                     one = ensemble_ratio.block_sums(block, pairs, ANGLES)
-                    found[block] = found[block] + one if block in found else one
-        return found
+                    sums[block] = sums[block] + one if block in sums else one
+        return sums
 
     def waves(self, side: Side, is_leaving: bool) -> PlaneWaves:
         """Return the waves for all directions on one side."""
@@ -202,8 +202,8 @@ class Ensemble:
         parts = []
         for d in (side.directions, *side.others):
             vectors = d.emission if is_leaving else d.excitation
-            whole = with_negative_orders(vectors, index) * turn
-            parts.append(np.moveaxis(whole, 1, 0).reshape(len(index.m), -1))
+            signed = with_negative_orders(vectors, index) * turn
+            parts.append(np.moveaxis(signed, 1, 0).reshape(len(index.m), -1))
         spread = np.stack(parts)
         return PlaneWaves(spread, spread, np.concatenate([side.wavevectors, side.wavevectors]))
 
@@ -254,8 +254,8 @@ class Ensemble:
         self, solved: list[dict[ensemble_ratio.Block, ensemble_ratio.Sums]]
     ) -> tuple[ensemble_ratio.Ratio, Array]:
         """Fit the ratio to all patterns; return it and its relative standard errors, `[s, i]` over `angles_rad`."""
-        found, errors = ensemble_ratio.fit_ratio(solved)
-        return found, errors.reshape(ANGLES, ANGLES)
+        fitted, errors = ensemble_ratio.fit_ratio(solved)
+        return fitted, errors.reshape(ANGLES, ANGLES)
 
 
 @dataclass(frozen=True)
@@ -353,8 +353,8 @@ def nearest_distance(cell: Supercell) -> float:
     xy = cell.xy_nm
     if len(xy) < 2:
         return cell.period.side_nm
-    found, _ = cKDTree(xy, boxsize=cell.period.side_nm).query(xy, k=2)
-    return float(found[:, 1].min())
+    distances, _ = cKDTree(xy, boxsize=cell.period.side_nm).query(xy, k=2)
+    return float(distances[:, 1].min())
 
 
 def same_order(layer: Monolayer, order: int, *particles: Particle) -> Monolayer:
@@ -520,34 +520,34 @@ def interpolate_ensemble(
     )
     ensembles = []
     for wavelength in solved_at:
-        whole = layer(float(wavelength))
-        alone = same_order(whole, settings.multipole_order, *middle_sizes(whole))
-        ensembles.append(Ensemble(alone, with_species(made, alone.shares, seed) if len(alone.particles) > 1 else made))
+        full = layer(float(wavelength))
+        model = same_order(full, settings.multipole_order, *middle_sizes(full))
+        ensembles.append(Ensemble(model, with_species(made, model.shares, seed) if len(model.particles) > 1 else made))
     keys = [_key(one, settings) for one in ensembles]
-    found = [_read(key) for key in keys]
-    missing = [n for n, one in enumerate(found) if one is None]
+    stored = [_read(key) for key in keys]
+    missing = [n for n, one in enumerate(stored) if one is None]
     if missing:
         cached = [_read_patterns(keys[n], len(made)) for n in missing]
         done_before = sum(len(patterns) for patterns in cached)
         share = 1.0 - done_before / (len(missing) * len(made))
         seconds = share * expected_seconds(len(missing), settings, ensembles[0].layer)
         parts = []
-        if len(missing) < len(found):
-            parts.append(f"{len(found) - len(missing)} more are cached")
+        if len(missing) < len(stored):
+            parts.append(f"{len(stored) - len(missing)} more are cached")
         if done_before:
             noun = "pattern" if done_before == 1 else "patterns"
             parts.append(f"{done_before} {noun} of these {'is' if done_before == 1 else 'are'} cached")
-        kept = f" ({', '.join(parts)})" if parts else ""
+        reused = f" ({', '.join(parts)})" if parts else ""
         noun = "wavelength" if len(missing) == 1 else "wavelengths"
         time = "on a cluster" if is_on_cluster() else f"about {duration(seconds)}"
         announce(
             f"{source}: {because}{settings.realisations} patterns of {settings.spheres} particles at {len(missing)} "
-            f"{noun}{kept}: {time}",
+            f"{noun}{reused}: {time}",
             seconds,
         )
         for n, solved in _solve([ensembles[n] for n in missing], [keys[n] for n in missing], missing, cached):
-            found[n] = solved
-    done = [one for one in found if one is not None]
+            stored[n] = solved
+    done = [one for one in stored if one is not None]
     angles = ensembles[0].angles_rad
     return EnsembleInterpolation(solved_at, tuple(r for r, _ in done), np.stack([e for _, e in done]), angles, settings)
 

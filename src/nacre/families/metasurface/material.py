@@ -313,7 +313,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
     def _aligned(self, layer: Monolayer) -> AlignedLayer:
         """Return the aligned particles whose rotational average `layer` holds."""
         assert isinstance(self.body, TabulatedBody)  # only tabulated bodies are aligned
-        return AlignedLayer(layer, self.body.full_t_matrix(layer.surface.wavelength_nm))
+        return AlignedLayer(layer, self.body.known.at(layer.surface.wavelength_nm, self.body.hold_ends, is_full=True))
 
     @property
     def varies(self) -> bool:
@@ -419,12 +419,12 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             cache[key] = self._refinement(grid)
             while len(cache) > MAX_CACHED_GRIDS:
                 cache.popitem(last=False)
-        found = cache[key]
+        refinement = cache[key]
 
         def layer(wavelength_nm: float) -> Monolayer:
-            return dataclasses.replace(self.monolayer(wavelength_nm), ratio=found.at(wavelength_nm))
+            return dataclasses.replace(self.monolayer(wavelength_nm), ratio=refinement.at(wavelength_nm))
 
-        return layer, found
+        return layer, refinement
 
     @cached_property
     def _ensembles(self) -> OrderedDict[bytes, EnsembleInterpolation]:
@@ -438,7 +438,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         is_list = isinstance(self.arrangement, Pattern)
         reason = self.chosen_correction[1]
         because = f'model.correction = "auto" takes an ensemble: {reason}; "qca-balanced" takes seconds; '
-        found = interpolate_ensemble(
+        refinement = interpolate_ensemble(
             wavelengths_nm,
             self.monolayer,
             self.pattern,
@@ -453,9 +453,9 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             self.source,
             self.ensemble.realisations,
             self.ensemble.spheres,
-            100 * found.standard_error,
+            100 * refinement.standard_error,
         )
-        return found
+        return refinement
 
     def _no_positions(self) -> UnsupportedError:
         return UnsupportedError(
@@ -592,8 +592,8 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             if self.correction != "none":
                 up, down, _ = limit_to_incident_power(r + t, up, down)
             exact.append(np.stack([up, down if self.transmits else np.zeros_like(down)]))
-        found = [few.hemispherical(np.array([np.sin(a), 0.0, np.cos(a)]), nodes=CHECK_NODES) for a in theta]
-        return float(np.max(np.abs(np.transpose(np.array(found), (1, 0, 2)) - np.stack(exact, axis=-1))))
+        tabulated = [few.hemispherical(np.array([np.sin(a), 0.0, np.cos(a)]), nodes=CHECK_NODES) for a in theta]
+        return float(np.max(np.abs(np.transpose(np.array(tabulated), (1, 0, 2)) - np.stack(exact, axis=-1))))
 
     def _warn(self) -> None:
         for species in self.all_species:

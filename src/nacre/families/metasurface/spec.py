@@ -106,19 +106,19 @@ class StructureSpec(RecipeModel):
         return data
 
     def model_post_init(self, _: Any) -> None:
-        given = [key for key in ("name", "points", "sq") if getattr(self, key) is not None]
-        if len(given) != 1:
-            raise ValueError(f"gives {' and '.join(given) or 'nothing'}; it needs one of name, points, sq")
+        forms = [key for key in ("name", "points", "sq") if getattr(self, key) is not None]
+        if len(forms) != 1:
+            raise ValueError(f"gives {' and '.join(forms) or 'nothing'}; it needs one of name, points, sq")
         foreign = {"lattice": ("lattice",), "jitter": ("lattice",), "seed": ARRANGEMENTS}
         for key, names in foreign.items():
             if key in self.model_fields_set and self.name not in names:
                 of = "arrangements that are drawn at random" if key == "seed" else 'name = "lattice"'
-                what = f'name = "{self.name}"' if self.name else given[0]
+                what = f'name = "{self.name}"' if self.name else forms[0]
                 raise ValueError(f"gives {key}, which {what} does not have; it is of {of}")
-        shown = self.points is not None and is_picture(self.points.file)
-        if self.points is not None and shown and self.width_um is None:
+        is_image = self.points is not None and is_picture(self.points.file)
+        if self.points is not None and is_image and self.width_um is None:
             raise ValueError(f'names a picture, points = "{self.points.file}", and not how wide it is; give width_um')
-        if not shown and self.width_um is not None:
+        if not is_image and self.width_um is not None:
             raise ValueError(f"gives width_um, which is of a picture; points should name one ({', '.join(SUFFIXES)})")
 
 
@@ -290,13 +290,13 @@ class MetasurfaceSpec(RecipeModel):
                 "is clear and less dense than the ambient, which the tables cannot hold",
             )
         index = max(1.0, n_substrate.real if n_substrate.imag < 1e-4 else 1.0, n_ambient.real)
-        asked = self.model.correction
-        is_replaced = context.is_low_fidelity and asked == "auto"
+        correction = self.model.correction
+        is_replaced = context.is_low_fidelity and correction == "auto"
         layers = tuple((self._index(layer.material), layer.thickness_nm) for layer in self.layers)
         host = host_layer(context, self.particle.depth_nm, layers)
-        if host and asked not in ("auto", "ensemble", "qca-balanced"):
+        if host and correction not in ("auto", "ensemble", "qca-balanced"):
             why = 'is not modelled for particles inside a layer; "ensemble" and the mean field, "qca-balanced", are'
-            raise context.fail("model.correction", asked, why)
+            raise context.fail("model.correction", correction, why)
         around = layers[host - 1][0] if host else ambient
         all_species = self.particle.all_species(context, around, self.extrapolate == "edge")
         if host:
@@ -313,7 +313,7 @@ class MetasurfaceSpec(RecipeModel):
             structure=structure,
             shell=first.shell,
             gap_nm=first.gap_nm,
-            correction="qca-balanced" if is_replaced else asked,
+            correction="qca-balanced" if is_replaced else correction,
             is_replaced=is_replaced,
             ensemble=EnsembleSettings(**self.model.ensemble.model_dump()),
             multipole_order=self.model.multipole_order,
@@ -341,10 +341,10 @@ class MetasurfaceSpec(RecipeModel):
             )
             why = 'is not modelled in a mixture; write "averaged", or leave particle.second out'
             raise context.fail(f"{key}.orientation", "aligned", why)
-        asked = self.model.correction
-        if asked not in ("auto", "qca-balanced"):
+        correction = self.model.correction
+        if correction not in ("auto", "qca-balanced"):
             why = 'is not modelled for aligned particles; the mean field, "qca-balanced", is'
-            raise context.fail("model.correction", asked, why)
+            raise context.fail("model.correction", correction, why)
 
     def _index(self, spec: IndexSpec) -> OpticalConstant:
         return self._edge(spec.build())
@@ -379,8 +379,8 @@ class MetasurfaceSpec(RecipeModel):
                 layer.density_per_um2 if layer.coverage is None else layer.coverage,
                 f"covers {coverage:.3g} of the area; it should be from {LEAST_COVERAGE:g} to {PACKING_LIMIT:g}",
             )
-        apart = 1.0 if spec.name == "lattice" else (reach_nm / outer_nm) ** 2
-        packing = occupied * apart if layer.packing is None else layer.packing
+        widening = 1.0 if spec.name == "lattice" else (reach_nm / outer_nm) ** 2
+        packing = occupied * widening if layer.packing is None else layer.packing
         if packing < occupied * (1 - 1e-9):
             floor = (
                 f"the coverage f = {coverage:.4g}"
@@ -554,12 +554,12 @@ def write_particle(material: Metasurface, path: Path, description: str) -> list[
     if error is not None:
         method += f", estimated relative error {error:.1g}"
     write_tmatrices(path, known, shape, method, description)
-    lost = ["the stack, the density and the order: a T-matrix is of one particle alone"]
+    losses = ["the stack, the density and the order: a T-matrix is of one particle alone"]
     if len(material.sizes.radii_nm) > 1:
-        lost.append("the spread of sizes: the mean one was taken")
+        losses.append("the spread of sizes: the mean one was taken")
     if material.second is not None:
-        lost.append("the second species of the mixture: the first was taken")
-    return lost
+        losses.append("the second species of the mixture: the first was taken")
+    return losses
 
 
 PERIOD_POINTS = 20_000  # S(q) equals the endless pattern for q above some 2 pi / period
@@ -650,8 +650,8 @@ def layer_sheet(material: Metasurface) -> LayerSheet:
     for position, medium, quantity, value in entries:
         low, high = medium.range_nm
         n = complex(medium.n_complex(np.array([min(max(REFERENCE_NM, low), high)]))[0])
-        shown = float(value) if value != "" else ""
-        rows.append(dict(zip(COLUMNS, (position, medium.name, quantity, shown, n.real, n.imag, medium.source))))
+        number = float(value) if value != "" else ""
+        rows.append(dict(zip(COLUMNS, (position, medium.name, quantity, number, n.real, n.imag, medium.source))))
     return LayerSheet(COLUMNS, tuple(rows), tuple(remarks), "sheet", "pattern")
 
 

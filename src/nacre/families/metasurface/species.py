@@ -149,9 +149,9 @@ def _truncation(surface: Substrate, particle: Particle) -> float:
 
 def _pattern(surface: Substrate, particle: Particle) -> Array:
     mmax = min(particle_on_stack.AZIMUTHAL_ORDERS, particle.lmax)
-    alone = particle_on_stack.ParticleOnStack(surface, particle.centre_nm, particle.t_matrix, mmax, particle.cut)
+    single = particle_on_stack.ParticleOnStack(surface, particle.centre_nm, particle.t_matrix, mmax, particle.cut)
     return particle_on_stack.probe_pattern(
-        alone.dressed, *particle_on_stack.probes(surface, particle.centre_nm, particle.lmax, mmax)
+        single.dressed, *particle_on_stack.probes(surface, particle.centre_nm, particle.lmax, mmax)
     )
 
 
@@ -281,13 +281,13 @@ class MultipoleConvergence:
         for number, (species, row) in enumerate(zip(all_species, bodies)):
             above = species.outer_radius_nm - species.mean_radius_nm + species.gap_nm
             available = top if species.body is None else min(top, species.body.lmax)
-            alone = row or [
+            singles = row or [
                 Particle(1.0, radius + above, species.t_matrix(available, surface, radius))
                 for radius in species.sizes.radii_nm
             ]
             out += [
                 replace(p, share=species.share * share, t_matrix=widened(p.t_matrix, top), species=number)
-                for p, share in zip(alone, species.sizes.shares)
+                for p, share in zip(singles, species.sizes.shares)
             ]
         return tuple(out)
 
@@ -316,14 +316,14 @@ class MultipoleConvergence:
     @property
     def notes(self) -> dict[str, Any]:
         """Notes for a Bsdf."""
-        found: dict[str, Any] = {}
+        notes: dict[str, Any] = {}
         if self.order is None:
-            found["multipole_tolerance"] = max(
+            notes["multipole_tolerance"] = max(
                 [self.tolerance or particle_on_stack.ORDER_TOLERANCE, *self.unconverged.values()]
             )
         if self.missing:
-            found["multipoles"] = [{"held": h, "taken": t, "change": c} for h, t, c in self.missing.values()]
-        return found
+            notes["multipoles"] = [{"held": h, "taken": t, "change": c} for h, t, c in self.missing.values()]
+        return notes
 
     def _body(self, species: Species, radius_nm: float, surface: Substrate) -> Particle:
         assert species.body is not None
@@ -461,11 +461,11 @@ def non_sphere_notes(all_species: tuple[Species, ...]) -> dict[str, Any]:
     """Return Bsdf notes on non-spherical particles."""
     bodies = [species.body for species in all_species if species.body is not None]
     stated = [body.estimated_error for body in bodies if body.estimated_error is not None]
-    found: dict[str, Any] = {"t_matrix_error": float(f"{max(stated):.2g}")} if stated else {}
+    notes: dict[str, Any] = {"t_matrix_error": float(f"{max(stated):.2g}")} if stated else {}
     turned = max((body.turn_loss for body in bodies), default=0.0)
     if turned:
-        found["left_out_by_turns"] = float(f"{turned:.2g}")
-    return found
+        notes["left_out_by_turns"] = float(f"{turned:.2g}")
+    return notes
 
 
 def mean_square_radius(all_species: tuple[Species, ...]) -> float:
@@ -596,9 +596,9 @@ class SpeciesSpec(RecipeModel):
     def _one_kind(self) -> None:
         if self.tmatrix is not None:
             of_others = ("material", "radius_nm", "shape", "deviation_nm", "shell", "edge_radius_nm")
-            given = [name for name in of_others if name in self.model_fields_set]
-            if given:
-                raise ValueError(f"gives tmatrix and {given[0]}; a file of T-matrices says what the particle is")
+            extra = [name for name in of_others if name in self.model_fields_set]
+            if extra:
+                raise ValueError(f"gives tmatrix and {extra[0]}; a file of T-matrices says what the particle is")
             return
         required: tuple[str, ...] = ("material", "radius_nm")
         foreign: tuple[str, ...] = ("diameter_nm", "height_nm")
@@ -606,9 +606,9 @@ class SpeciesSpec(RecipeModel):
             required, foreign = ("material", *foreign), ("radius_nm",)
         if self.shape != "cylinder":
             foreign = (*foreign, "edge_radius_nm")
-        given = [name for name in foreign if name in self.model_fields_set]
-        if given:
-            raise ValueError(f"gives {given[0]}, which a {self.shape} does not have; it has {', '.join(required)}")
+        extra = [name for name in foreign if name in self.model_fields_set]
+        if extra:
+            raise ValueError(f"gives {extra[0]}, which a {self.shape} does not have; it has {', '.join(required)}")
         missing = [name for name in required if getattr(self, name) is None]
         if missing:
             raise ValueError(
@@ -734,20 +734,20 @@ class SpeciesSpec(RecipeModel):
                 )
 
     def _extent(self, context: RecipeContext, key: str, stated: float | None) -> float:
-        given: float | None = getattr(self, key)
-        if given is None and stated is None:
+        own: float | None = getattr(self, key)
+        if own is None and stated is None:
             raise context.fail(
                 f"{self.table}.tmatrix",
                 self.tmatrix,
                 f"does not say how large the particle is; give {self.table}.{key}",
             )
-        if given is not None and stated is not None and abs(given / stated - 1) > SAME_LENGTH:
+        if own is not None and stated is not None and abs(own / stated - 1) > SAME_LENGTH:
             raise context.fail(
-                f"{self.table}.{key}", given, f"is not what {self.tmatrix} says: {stated:.5g} nm; leave it out"
+                f"{self.table}.{key}", own, f"is not what {self.tmatrix} says: {stated:.5g} nm; leave it out"
             )
-        found = stated if stated is not None else given
-        assert found is not None
-        return found
+        extent = stated if stated is not None else own
+        assert extent is not None
+        return extent
 
 
 class SecondSpeciesSpec(SpeciesSpec):

@@ -190,18 +190,18 @@ class PeriodicCoupling:
         """Tabulate; `coupling` fades out at `reach_nm`."""
         surface, order, heights = layer.surface, coupling.order, coupling.centres_nm
         k = surface.inner_wavenumber
-        alone = dataclasses.replace(layer.structure, h=np.zeros_like(layer.structure.h))
+        uncorrelated = dataclasses.replace(layer.structure, h=np.zeros_like(layer.structure.h))
         largest = max_far_wavenumber(surface, reach_nm)
         pairs = {mean_and_lift(surface, float(a), float(b)) for a in heights for b in heights}
         sheets = {
-            (mean, up): DistantSheet.build(NeighbourGeometry(surface, mean, alone, order, up), reach_nm, largest)
+            (mean, up): DistantSheet.build(NeighbourGeometry(surface, mean, uncorrelated, order, up), reach_nm, largest)
             for mean, up in sorted(pairs)
         }
         direct, step = None, k * float(np.ptp(heights))
         if step > 0.0:
             nothing = Substrate(surface.wavelength_nm, np.full(2, surface.inner_index + 0j), np.zeros(0))
             # shorter distances cancel within the window, and high multipoles are large there
-            further = dataclasses.replace(alone, diameter_nm=max(alone.diameter_nm, reach_nm / 2))
+            further = dataclasses.replace(uncorrelated, diameter_nm=max(uncorrelated.diameter_nm, reach_nm / 2))
             top = NeighbourGeometry(nothing, float(heights.max()), further, translation_order(order, step))
             direct = DistantSheet.build(top, reach_nm, largest)
         return cls(coupling, sheets, direct, largest)
@@ -221,10 +221,10 @@ class PeriodicCoupling:
         straight = None if self.direct is None else self.direct.at(kappa)
         out = np.empty((len(heights), len(heights), *turn.shape), dtype=complex)
         for i, j in np.ndindex(out.shape[:2]):
-            whole = sums[mean_and_lift(self.coupling.surface, float(heights[i]), float(heights[j]))]
+            total = sums[mean_and_lift(self.coupling.surface, float(heights[i]), float(heights[j]))]
             if straight is not None and heights[i] != heights[j]:
-                whole = whole + self._lifted(straight, k * float(heights[i] - heights[j]))
-            out[i, j] = dressed[i] @ (whole * turn)
+                total = total + self._lifted(straight, k * float(heights[i] - heights[j]))
+            out[i, j] = dressed[i] @ (total * turn)
         return out
 
     def _lifted(self, straight: ComplexArray, height: float) -> ComplexArray:
@@ -416,8 +416,8 @@ class Coupling:
         The `others` in a mixture have the same order.
         """
         particles, order = (particle, *others), particle.lmax
-        alone = [ParticleOnStack(surface, p.centre_nm, p.t_matrix, order, p.cut) for p in particles]
-        dressed = np.stack([spread_blocks(sphere.dressed, multipole_index(order)) for sphere in alone])
+        singles = [ParticleOnStack(surface, p.centre_nm, p.t_matrix, order, p.cut) for p in particles]
+        dressed = np.stack([spread_blocks(sphere.dressed, multipole_index(order)) for sphere in singles])
         k = surface.inner_wavenumber
         start = max(k * nearest_nm - 2 * STEP, STEP)
         count = int(np.ceil((k * farthest_nm - start) / STEP)) + 4
@@ -475,8 +475,8 @@ class Coupling:
         if matrix is None:
             matrix = self.matrix(xy_nm, None, species)
         factors, pivots, _ = cgetrf(matrix, overwrite_a=True)
-        found, _ = cgetrs(factors, pivots, right.reshape(-1, right.shape[-1]))
-        return np.asarray(found.reshape(right.shape))
+        multipoles, _ = cgetrs(factors, pivots, right.reshape(-1, right.shape[-1]))
+        return np.asarray(multipoles.reshape(right.shape))
 
     def far_field(
         self, xy_nm: Array, multipoles: SingleComplex, waves: PlaneWaves, species: IntArray | None = None

@@ -51,17 +51,17 @@ def _multiple_scattering(medium: Medium, wi: Array, wo: Array, albedo: Array) ->
     n = medium.n
     ends = np.concatenate([wi, wo])
     inner = np.sqrt(1.0 - (1.0 - ends[:, 2] ** 2) / (n * n))
-    asked, which = np.unique(np.round(inner, 9), return_inverse=True)
+    cosines, which = np.unique(np.round(inner, 9), return_inverse=True)
     which = which.ravel()
-    mu, weight = _directions(tuple(asked.tolist()), n)
+    mu, weight = _directions(tuple(cosines.tolist()), n)
     passed = 1.0 - fresnel(ends[:, 2], n)
-    lit, seen = NODES + which[: len(wi)], NODES + which[len(wi) :]
+    lit, viewed = NODES + which[: len(wi)], NODES + which[len(wi) :]
     across = _azimuths(wi, wo)
     x = _weakening(medium, mu)
     back, on = _turned(medium, mu)
     reflect, transmit, direct = _doubled(back, on, x, mu, weight)
     mirror = _mirror(medium, mu, weight)
-    columns = np.unique(np.concatenate([lit, seen]))
+    columns = np.unique(np.concatenate([lit, viewed]))
     at = {int(column): i for i, column in enumerate(columns)}
     # upward radiance just below the interface, for light along each column
     size = len(mu)
@@ -70,21 +70,21 @@ def _multiple_scattering(medium: Medium, wi: Array, wo: Array, albedo: Array) ->
     upward = np.linalg.solve(twice, first)
     single = back[..., columns] / mu[:, None] * _once(x, x[:, columns], 1.0)[:, None]
     terms = np.where(np.arange(TERMS) == 0, 1.0, 2.0) / (2.0 * np.pi) * np.cos(np.arange(TERMS) * across[:, None])
-    found = np.zeros((len(wi), len(albedo)))
-    for pair, (i, o) in enumerate(zip(lit, seen, strict=True)):
+    brdf = np.zeros((len(wi), len(albedo)))
+    for pair, (i, o) in enumerate(zip(lit, viewed, strict=True)):
         many = upward[:, :, o, at[i]] - single[:, :, o, at[i]]
         both = passed[pair] * passed[len(wi) + pair] / (n * n * mu[i])
-        found[pair] = both * (many @ terms[pair])
+        brdf[pair] = both * (many @ terms[pair])
     if not np.any(albedo > 0):
-        return found
+        return brdf
     down = mirror[0] @ upward[:, 0]
     arrives = transmit[:, 0][..., columns] + direct[..., None] * down + (transmit[:, 0] * weight) @ down
     share = (direct[:, columns] * mu[columns] + np.einsum("i,lij->lj", weight * mu, arrives)) / mu[columns]
     returned = _returned(reflect[:, 0], transmit[:, 0], direct, twice[:, 0], mirror[0], mu, weight)
-    for pair, (i, o) in enumerate(zip(lit, seen, strict=True)):
+    for pair, (i, o) in enumerate(zip(lit, viewed, strict=True)):
         both = passed[pair] * passed[len(wi) + pair] * share[:, at[i]] * share[:, at[o]]
-        found[pair] += both * albedo / (np.pi * n * n * (1.0 - albedo * returned))
-    return found
+        brdf[pair] += both * albedo / (np.pi * n * n * (1.0 - albedo * returned))
+    return brdf
 
 
 def _azimuths(wi: Single, wo: Single) -> Single:
@@ -93,7 +93,7 @@ def _azimuths(wi: Single, wo: Single) -> Single:
 
 
 @lru_cache(maxsize=32)
-def _directions(asked: tuple[float, ...], index: float) -> tuple[Single, Single]:
+def _directions(cosines: tuple[float, ...], index: float) -> tuple[Single, Single]:
     """Return cosines and solid-angle weights: Gauss nodes in the angle, then the requested cosines with zero weight.
 
     The rule is split at the critical angle, as the interface reflectance jumps.
@@ -103,8 +103,8 @@ def _directions(asked: tuple[float, ...], index: float) -> tuple[Single, Single]
     ends = [(0.0, critical), (critical, np.pi / 2.0)]
     angle = np.concatenate([low + (high - low) / 2.0 * (nodes + 1.0) for low, high in ends])
     share = np.concatenate([(high - low) / 2.0 * weights for low, high in ends])
-    mu = np.concatenate([np.cos(angle), asked])
-    weight = np.concatenate([share * np.sin(angle), np.zeros(len(asked))])
+    mu = np.concatenate([np.cos(angle), cosines])
+    weight = np.concatenate([share * np.sin(angle), np.zeros(len(cosines))])
     return mu.astype(np.float32), weight.astype(np.float32)
 
 
@@ -148,9 +148,9 @@ def _pairs(mu_bytes: bytes) -> tuple[Single, tuple[tuple[Single, Single], ...]]:
 @lru_cache(maxsize=1)
 def _cosines() -> Single:
     """Return the matrix `[term, azimuth]` from samples over azimuth to a cosine series."""
-    found = 2.0 / AZIMUTHS * np.cos(np.arange(AZIMUTHS)[:, None] * (np.arange(AZIMUTHS) + 0.5) * np.pi / AZIMUTHS)
-    found[0] /= 2.0
-    return found
+    matrix = 2.0 / AZIMUTHS * np.cos(np.arange(AZIMUTHS)[:, None] * (np.arange(AZIMUTHS) + 0.5) * np.pi / AZIMUTHS)
+    matrix[0] /= 2.0
+    return matrix
 
 
 def _peaked(mu: Single, rows: Single, high: Single, width: float) -> Single:
@@ -170,26 +170,26 @@ def _peaked(mu: Single, rows: Single, high: Single, width: float) -> Single:
     s = np.sqrt(np.where(is_one, 1.0, s2))
     rho = b / (a + s)
     order = np.arange(TERMS + AZIMUTHS + 1)[:, None]
-    found = 2.0 * np.pi * rho**order * (a + order * s) / s**3
+    terms = 2.0 * np.pi * rho**order * (a + order * s) / s**3
     turned = high**2 + i * i + j * j  # |e - d|^2 + 2 i j cos phi
     mean, swing = 0.25 * turned, 0.25 * i * j
     for _ in range(2):  # times c^2 = mean - 2 swing cos phi
-        below = np.concatenate([found[1:2], found[:-2]])
-        found = mean * found[:-1] - swing * (below + found[1:])
-    found[:, is_one] = 0.0
-    found[0, is_one] = 2.0 * np.pi * width**4 / 16.0
-    return np.asarray(found)
+        below = np.concatenate([terms[1:2], terms[:-2]])
+        terms = mean * terms[:-1] - swing * (below + terms[1:])
+    terms[:, is_one] = 0.0
+    terms[0, is_one] = 2.0 * np.pi * width**4 / 16.0
+    return np.asarray(terms)
 
 
 def _product(slow: Single, peaked: Single) -> Single:
     """Return a product's cosine terms, `[term, pair, ...]`, with the smooth factor's `[azimuth term, pair, ...]`."""
     terms = np.arange(TERMS)
     shape = (slice(None), slice(None), *(None,) * (slow.ndim - 2))
-    found = np.zeros((TERMS, *slow.shape[1:]), np.float32)
+    product = np.zeros((TERMS, *slow.shape[1:]), np.float32)
     for q in range(AZIMUTHS):
         both = 0.5 * (peaked[np.abs(terms - q)] + peaked[terms + q])
-        found += both[shape].astype(np.float32) * slow[q].astype(np.float32)
-    return found
+        product += both[shape].astype(np.float32) * slow[q].astype(np.float32)
+    return product
 
 
 def _turned(medium: Medium, mu: Single) -> tuple[Single, Single]:
@@ -208,20 +208,20 @@ def _turned_by_one(reflect: bytes, nodes: int, sigma: float, mu_bytes: bytes) ->
     mu = np.frombuffer(mu_bytes, dtype=np.float32)
     table = np.frombuffer(reflect, dtype=np.float32).reshape(nodes, -1)
     rows, halves = _pairs(mu_bytes)
-    found = []
+    series_of = []
     for high, cos in halves:
         # R D / 4, with the normal density D(h) = |e - d|^4 / (pi sigma^2 (a - b cos phi)^2)
         series = np.tensordot(_cosines(), _row(table, cos) * (4.0 / (np.pi * sigma**2)), axes=1)
-        found.append(_product(series, _peaked(mu, rows, high, sigma)))
-    return np.stack(found)
+        series_of.append(_product(series, _peaked(mu, rows, high, sigma)))
+    return np.stack(series_of)
 
 
 def _both_ways(terms: Single, rows: Single, size: int) -> Single:
     """Return symmetric matrices from pairs `[..., pair]`."""
-    whole = np.empty((*terms.shape[:-1], size, size), np.float32)
-    whole[..., rows[0], rows[1]] = terms
-    whole[..., rows[1], rows[0]] = terms
-    return whole
+    matrices = np.empty((*terms.shape[:-1], size, size), np.float32)
+    matrices[..., rows[0], rows[1]] = terms
+    matrices[..., rows[1], rows[0]] = terms
+    return matrices
 
 
 def _once(up: Single, down: Single, depth: Any) -> Single:

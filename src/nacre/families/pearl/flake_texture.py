@@ -45,15 +45,15 @@ _tables_lock = Lock()
 def _table(platelet: Platelet, container_n: Array, wavelengths_nm: Array) -> tuple[Array, Array]:
     """Return a flake's unpolarised R and T `[cos, wavelength]`; recent ones are cached, as candidates share them."""
     key = (*platelet.key, container_n.tobytes(), wavelengths_nm.tobytes())
-    found = _tables.get(key)
-    if found is None:
+    table = _tables.get(key)
+    if table is None:
         cos = np.linspace(0.0, 1.0, COS_NODES)
-        found = platelet_response(platelet, container_n, cos, wavelengths_nm, TRUNCATION).unpolarised()
+        table = platelet_response(platelet, container_n, cos, wavelengths_nm, TRUNCATION).unpolarised()
         with _tables_lock:
             while len(_tables) >= MOST_TABLES:
                 _tables.pop(next(iter(_tables)))
-            _tables[key] = found
-    return found
+            _tables[key] = table
+    return table
 
 
 def visible_normals(normals: FlakeNormals, w: Array, nodes: int = NORMALS) -> tuple[Array, float]:
@@ -110,10 +110,10 @@ class FlakeTexture:
     def _absorption(self, stratum: Stratum) -> Array:
         lam = self.wavelengths_nm
         n = stratum.resin.n_complex(lam)
-        found = 4 * np.pi * n.imag * stratum.thickness_nm / lam
+        absorption = 4 * np.pi * n.imag * stratum.thickness_nm / lam
         if stratum.dye is not None:
-            found = found + dye_response(stratum.dye, n.real, stratum.thickness_nm, lam).extinction
-        return np.asarray(found)
+            absorption = absorption + dye_response(stratum.dye, n.real, stratum.thickness_nm, lam).extinction
+        return np.asarray(absorption)
 
     def _number(self, stratum: Stratum, flakes: Flakes) -> float:
         return optical_number(flakes.volume_fraction, stratum.thickness_nm, flakes.platelet.height_nm)
@@ -126,13 +126,13 @@ class FlakeTexture:
 
     def _crossings(self, i: int, w: Array) -> tuple[float, Array]:
         """Return the flakes crossed by light along `w[3]` in a stratum, and their optical thickness `[wavelength]`."""
-        stratum, met, depth = self.strata[i], 0.0, np.zeros(len(self.wavelengths_nm))
+        stratum, crossed, depth = self.strata[i], 0.0, np.zeros(len(self.wavelengths_nm))
         for flakes, (_, transmit) in zip(stratum.kinds, self.tables[i], strict=True):
             m, area = visible_normals(flakes.normals, w)
             count = self._number(stratum, flakes) * area / abs(w[2])
-            met += count
+            crossed += count
             depth = depth + count * np.mean(1.0 - self._read(transmit, m @ w), axis=0)
-        return met, depth
+        return crossed, depth
 
     def _inside(self, w: Array, i: int) -> tuple[Array, float]:
         """Return a direction `[3]` refracted into a stratum, and the transmittance of all interfaces above it."""
@@ -152,14 +152,14 @@ class FlakeTexture:
             lamp_rad, camera_rad: half angles of the cones to the lamp and to the entrance pupil of the camera.
         """
         wi, wo = direction(theta_rad), np.array([0.0, 0.0, 1.0])
-        found: list[LitFlakes] = []
+        flakes_lit: list[LitFlakes] = []
         above_um, above_depth = 0.0, np.zeros(len(self.wavelengths_nm))
         for i, stratum in enumerate(self.strata):
             (inner_i, passed_i), (inner_o, passed_o) = self._inside(wi, i), self._inside(wo, i)
             ways = [self._crossings(i, inner) for inner in (inner_i, inner_o)]
             slant = 1.0 / inner_i[2] + 1.0 / inner_o[2]
-            met = ways[0][0] + ways[1][0]
-            shade = 1.0 - (ways[0][1] + ways[1][1]) / met if met > 0 else np.ones(len(self.wavelengths_nm))
+            crossed = ways[0][0] + ways[1][0]
+            shade = 1.0 - (ways[0][1] + ways[1][1]) / crossed if crossed > 0 else np.ones(len(self.wavelengths_nm))
             tall = self.index[i] * (inner_i[2] + inner_o[2])
             half = (wi + wo)[:2] / tall
             scale = passed_i * passed_o * (1.0 + float(half @ half)) ** 2 / (
@@ -167,11 +167,11 @@ class FlakeTexture:
             )  # fmt: skip
             facing = math.sqrt(0.5 * (1.0 + float(inner_i @ inner_o)))
             variance = self._variance(i, theta_rad, lamp_rad, camera_rad, tall)
-            reach_um = above_um + stratum.thickness_nm / 1e3 * _mean_depth(met * (1.0 - float(np.mean(shade))))
+            reach_um = above_um + stratum.thickness_nm / 1e3 * _mean_depth(crossed * (1.0 - float(np.mean(shade))))
             for flakes, (reflect, _) in zip(stratum.kinds, self.tables[i], strict=True):
                 spectrum = self.weights * np.pi * scale * self._read(reflect, np.array(facing)) * np.exp(-above_depth)
                 radii = radius_quantiles(float(flakes.diameter_um or 0.0), self.scales.diameter_spread)
-                found.append(LitFlakes(
+                flakes_lit.append(LitFlakes(
                     number=self._number(stratum, flakes) / (math.pi * mean_square(radii) * 1e-6),
                     radii_um=radii,
                     blur_um=self._blur_um(i, reach_um, camera_rad),
@@ -179,12 +179,12 @@ class FlakeTexture:
                     variance=variance,
                     diffraction_um=DIFFRACTION * MIDDLE_UM / self.index[i],
                     density=_slope_density(flakes.normals),
-                    brightness=_brightness(spectrum, self.absorption[i] * slant, shade, met),
-                    crossings=met,
+                    brightness=_brightness(spectrum, self.absorption[i] * slant, shade, crossed),
+                    crossings=crossed,
                 ))  # fmt: skip
             above_um += stratum.thickness_nm / 1e3
             above_depth = above_depth + ways[0][1] + ways[1][1] + self.absorption[i] * slant
-        return found
+        return flakes_lit
 
     def _variance(self, i: int, theta_rad: float, lamp_rad: float, camera_rad: float, tall: float) -> Array:
         """Return the variance of the slope between half vector and normal, without diffraction, `[2]`.
@@ -218,7 +218,7 @@ class FlakeTexture:
 
         A flake reflects the light of one direction to the viewer; beyond the critical angle it reflects none.
         """
-        found: list[DiffuseFlakes] = []
+        flakes_lit: list[DiffuseFlakes] = []
         normal = np.array([0.0, 0.0, 1.0])
         depth = np.linspace(0.0, 1.0, DEPTH_NODES)
         tilt = np.arccos(self.cos)
@@ -238,7 +238,7 @@ class FlakeTexture:
                 m, area = visible_normals(flakes.normals, normal, 2 * NORMALS)
                 first = reflect * (is_lit * np.array(passed) * view)[:, None] * np.exp(-above) * self.weights
                 luminance = np.stack([np.sum(first * np.exp(-way * z), axis=1) for z in depth])
-                found.append(DiffuseFlakes(
+                flakes_lit.append(DiffuseFlakes(
                     stratum=i,
                     coverage=self._number(stratum, flakes) * area,
                     radii_um=radius_quantiles(float(flakes.diameter_um or 0.0), self.scales.diameter_spread),
@@ -247,7 +247,7 @@ class FlakeTexture:
                     transmittance=(transmit @ self.weights) / np.sum(self.weights),
                 ))  # fmt: skip
             above = above + way
-        return found
+        return flakes_lit
 
 
 def _mean_depth(depth: float) -> float:
@@ -266,10 +266,10 @@ def _slope_density(normals: FlakeNormals) -> Callable[[Array], Array]:
     return density
 
 
-def _brightness(spectrum: Array, absorbed: Array, shade: Array, met: float) -> Array:
+def _brightness(spectrum: Array, absorbed: Array, shade: Array, crossed: float) -> Array:
     """Return the luminance times unit slope area `[depth, crossings]`."""
     clear = float(np.max(shade))
-    most = met + 6.0 * math.sqrt(met) + 6.0
+    most = crossed + 6.0 * math.sqrt(crossed) + 6.0
     if clear < 1.0:
         most = min(most, math.log(LEAST) / math.log(max(clear, 1e-9)) + 1.0)
     powers = np.maximum(shade, 0.0)[:, None] ** np.arange(math.ceil(min(most, MOST_CROSSINGS)) + 1)
@@ -327,18 +327,18 @@ def glint_arrays(
     reach = -math.expm1(-depth) / depth if depth > 1e-9 else 1.0
     alpha = math.sqrt(max(stratum.surface.alpha_x * stratum.surface.alpha_y, 0.0))
     bend = interface_bend(alpha, index)
-    found = []
+    species = []
     for k, flakes in enumerate(stratum.kinds):
         assert flakes.diameter_um is not None
         diffraction = DIFFRACTION * MIDDLE_UM / (index * flakes.diameter_um)
         own = math.hypot(math.tan(math.radians(glints.flatness_deg)), diffraction, bend)
         deviation = float(np.sqrt(flakes.normals.axes[0] * flakes.normals.axes[1]))
         seed = (glints.seed + SEED_STEP * k) % (1 << 24)
-        found.append(
+        species.append(
             glint_species(
                 glints.surface_mm, flakes.diameter_um, glints.diameter_spread, float(number[k]) * reach,
                 own / deviation, seed,
             )
         )  # fmt: skip
-    numbers, radii, ratio = (np.stack(part) for part in zip(*found, strict=True))
+    numbers, radii, ratio = (np.stack(part) for part in zip(*species, strict=True))
     return numbers, radii, ratio

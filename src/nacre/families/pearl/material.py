@@ -86,17 +86,17 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
     @property
     def notes(self) -> tuple[str, ...]:
         """Remarks on valid settings with surprising effects."""
-        found = []
+        notes = []
         for i, stratum in enumerate(self.strata):
             kinds = len(stratum.kinds)
             if kinds > 8:
-                found.append(f"strata[{i}]: {kinds} types of platelets work, but each slows rendering down")
+                notes.append(f"strata[{i}]: {kinds} types of platelets work, but each slows rendering down")
             for j, flakes in enumerate(stratum.flakes):
                 if flakes.diameter_um is not None and (self.glints is None or i > 0):
-                    found.append(f"strata[{i}].platelets[{j}]: diameter_um has no effect on pictures without glints")
+                    notes.append(f"strata[{i}].platelets[{j}]: diameter_um has no effect on pictures without glints")
                 if abs(flakes.normals.frame[2, 2]) < EDGE_ON:
-                    found.append(f"strata[{i}].platelets[{j}]: the rotation turns the platelets nearly edge-on")
-        return tuple(found)
+                    notes.append(f"strata[{i}].platelets[{j}]: the rotation turns the platelets nearly edge-on")
+        return tuple(notes)
 
     def platelet_tables(self, wavelengths_nm: Array) -> Array:
         """R and T for all distinct pigments, `[kind, cos, wavelength, 2]`, on uniform sqrt(cos) nodes."""
@@ -122,11 +122,11 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
         lobe = self._layered(wavelengths_nm)
         notes = list(self.notes)
         stated: dict[str, Any] = {}
-        found: Lobe = lobe
+        compiled: Lobe = lobe
         if self.quality == "fast":
             reason = self.inapplicable_reason(TABLES)
             if reason is None:
-                found = baked = bake(lobe)
+                compiled = baked = bake(lobe)
                 error = largest_power_error(lobe, baked)
                 stated = {"angle_table": {"angles": baked.flakes.shape[1], "largest_error": round(error, 6)}}
                 notes.append(
@@ -137,7 +137,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
             else:
                 notes.append(f'quality = "fast" was not possible, since {reason}; this is "reference"')
                 logger.warning('quality = "fast" is not possible, since %s; "reference" is used', reason)
-        return Bsdf((found,), {"notes": notes, **stated} if notes else {})
+        return Bsdf((compiled,), {"notes": notes, **stated} if notes else {})
 
     def inapplicable_reason(self, method: str) -> str | None:
         """Return why a method does not apply to this pearl, or None.
@@ -281,11 +281,11 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
         for stratum in self.strata:
             n = stratum.resin.n_complex(lam)
             absorbed = 4 * np.pi * n.imag * stratum.thickness_nm / lam
-            found = DyeResponse(absorbed, np.zeros(len(lam)))
+            response = DyeResponse(absorbed, np.zeros(len(lam)))
             if stratum.dye is not None:
                 dye = dye_response(stratum.dye, n.real, stratum.thickness_nm, lam)
-                found = DyeResponse(absorbed + dye.extinction, dye.scattering, dye.phase, dye.quantile)
-            responses.append(found)
+                response = DyeResponse(absorbed + dye.extinction, dye.scattering, dye.phase, dye.quantile)
+            responses.append(response)
         if not any(np.any(r.extinction > 0) for r in responses):
             return None, None, None
         table = np.stack([np.stack([r.extinction, r.scattering], axis=-1) for r in responses])
@@ -326,9 +326,9 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
         reflect, transmit, names = [], [], []
         for i, stratum in enumerate(self.strata):
             for j, flakes in enumerate(stratum.flakes):
-                found = platelet_response(flakes.platelet, stratum.resin.n_complex(lam).real, cos, lam).unpolarised()
-                reflect.append(found[0])
-                transmit.append(found[1])
+                response = platelet_response(flakes.platelet, stratum.resin.n_complex(lam).real, cos, lam).unpolarised()
+                reflect.append(response[0])
+                transmit.append(response[1])
                 names.append(f"strata[{i}].platelets[{j}]")
         empty = np.zeros((0, len(angles), len(lam)))
         return {
@@ -341,12 +341,12 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
 
 
 def _index(resin: OpticalConstant, stratum: int) -> float:
-    found = float(resin.n_complex(np.array([INDEX_NM]))[0].real)
-    if found < 1:  # a metal, or a mistake
+    index = float(resin.n_complex(np.array([INDEX_NM]))[0].real)
+    if index < 1:  # a metal, or a mistake
         raise NacreError(
-            f"strata[{stratum}].resin has an index of {found:.4g} at {INDEX_NM:g} nm; it must be at least 1"
+            f"strata[{stratum}].resin has an index of {index:.4g} at {INDEX_NM:g} nm; it must be at least 1"
         )
-    return found
+    return index
 
 
 def _response(stratum: Stratum, flakes: Flakes, count: int, lam: Array) -> PlateletResponse:

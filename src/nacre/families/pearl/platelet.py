@@ -296,8 +296,8 @@ def lost_share(reflectance: Array, transmittance: Array) -> Array:
 
     It is R T, neither reflected, transmitted nor absorbed.
     """
-    kept = 1.0 - transmittance
-    return np.asarray(reflectance * transmittance / np.where(kept > 0, kept, 1.0))
+    passing = 1.0 - transmittance
+    return np.asarray(reflectance * transmittance / np.where(passing > 0, passing, 1.0))
 
 
 @lru_cache(maxsize=1)
@@ -445,5 +445,5 @@ def _coating_amplitudes(
     return _both(outside), _both(inside)
 
 
-def _both(found: Amplitudes) -> tuple[ComplexArray, ComplexArray]:
-    return np.stack([found.r_s, found.r_p]), np.stack([found.t_s, found.t_p])
+def _both(response: Amplitudes) -> tuple[ComplexArray, ComplexArray]:
+    return np.stack([response.r_s, response.r_p]), np.stack([response.t_s, response.t_p])

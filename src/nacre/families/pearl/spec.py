@@ -164,8 +164,8 @@ class PlateletSpec(RecipeModel):
         else:
             core, place, coatings = self.substrate, "substrate", self.coatings
         upper = _coatings(coatings, context, f"{key}.coatings")
-        given = self.lower_coatings
-        lower = None if given is None else _coatings(given, context, f"{key}.lower_coatings")
+        below = self.lower_coatings
+        lower = None if below is None else _coatings(below, context, f"{key}.lower_coatings")
         thickness = core.thickness(context, f"{key}.{place}")
         platelet = Platelet(core.material.build(context), thickness, upper, lower, self.energy_balance)
         if platelet.height_nm <= 0:

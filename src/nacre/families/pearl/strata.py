@@ -52,11 +52,11 @@ class Stratum:
     @cached_property
     def kinds(self) -> tuple[Flakes, ...]:
         """The pigments, equal ones joined: a pigment entered in two parts then draws the same random walks."""
-        found: dict[tuple[object, ...], list[Flakes]] = {}
+        joined: dict[tuple[object, ...], list[Flakes]] = {}
         for flakes in self.flakes:
-            found.setdefault(flakes.key, []).append(flakes)
+            joined.setdefault(flakes.key, []).append(flakes)
         return tuple(
-            replace(same[0], volume_fraction=math.fsum(f.volume_fraction for f in same)) for same in found.values()
+            replace(same[0], volume_fraction=math.fsum(f.volume_fraction for f in same)) for same in joined.values()
         )
 
 

@@ -125,11 +125,11 @@ class PearlSurrogate:
 def _by_light(wi: Array, wo: Array, shape: tuple[int, int], values: Callable[[int, Array, Array], Array]) -> Array:
     """Return `values(number, light, viewers)` `[quantity, viewer, wavelength]`, evaluated once for each light."""
     lights, which = np.unique(np.round(wi, 12), axis=0, return_inverse=True)
-    found = np.zeros((shape[0], len(wi), shape[1]))
+    total = np.zeros((shape[0], len(wi), shape[1]))
     for turn, light in enumerate(lights):
         rows = np.flatnonzero(which.ravel() == turn)
-        found[:, rows] = values(turn, light, np.ascontiguousarray(wo[rows]))
-    return found
+        total[:, rows] = values(turn, light, np.ascontiguousarray(wo[rows]))
+    return total
 
 
 _tables: dict[tuple[object, ...], tuple[SingleArray, SingleArray, SingleArray]] = {}
@@ -147,18 +147,18 @@ def _pigment(stratum: Stratum, flakes: Flakes, nodes: int, grid: bytes) -> tuple
     layers += [(c.material, c.thickness) for c in (*platelet.upper, *(platelet.lower or ()))]
     shape = (platelet.energy_balance, len(platelet.upper), platelet.lower is None, nodes, deviation, grid, n.tobytes())
     key = (*shape, *((material.n_complex(wavelengths).tobytes(), thickness.key) for material, thickness in layers))
-    found = _tables.get(key)
-    if found is None:
+    tables = _tables.get(key)
+    if tables is None:
         cos = np.linspace(0.0, 1.0, nodes) ** 2
         truncation = TRUNCATION if nodes == COS_NODES else 0.0
         reflect, transmit = platelet_response(platelet, n, cos, wavelengths, truncation).unpolarised()
         extinct = mean_extinction(_weights(deviation, nodes), transmit)[0]
-        found = (reflect.astype(np.float32), transmit.astype(np.float32), extinct.astype(np.float32))
+        tables = (reflect.astype(np.float32), transmit.astype(np.float32), extinct.astype(np.float32))
         with _tables_lock:
             while len(_tables) >= MAX_PIGMENTS:
                 _tables.pop(next(iter(_tables)))
-            _tables[key] = found
-    return found
+            _tables[key] = tables
+    return tables
 
 
 @lru_cache(maxsize=64)
@@ -182,16 +182,16 @@ def _two_streams(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
         flake_lobe(a[0], a[1], max(a[2], 1e-3), b[0], b[1], max(b[2], 1e-3), n, medium.alpha, medium.number, deviation)
         for a, b in zip(wi, wo, strict=True)
     ])  # fmt: skip
-    found = (passed * lobes * middle)[:, None] * np.maximum(reflected - single, 0.0)
+    brdf = (passed * lobes * middle)[:, None] * np.maximum(reflected - single, 0.0)
     if not np.any(albedo > 0):
-        return np.asarray(found)
+        return np.asarray(brdf)
     cosines = (np.arange(DIFFUSE_COS) + 0.5) / DIFFUSE_COS
     back, through = (np.average(x, axis=0, weights=cosines) for x in _streams(medium, cosines, cosines))
     outside = float(np.average(1.0 - fresnel(cosines, n), weights=cosines))
     inside = 1.0 - outside / (n * n)  # for diffuse light from below, by reciprocity
     returned = back + through**2 * inside / (1.0 - back * inside)
     arrives = _streams(medium, inner_i, inner_i)[1] * _streams(medium, inner_o, inner_o)[1]
-    return np.asarray(found + passed[:, None] * arrives * albedo / (np.pi * n * n * (1.0 - albedo * returned)))
+    return np.asarray(brdf + passed[:, None] * arrives * albedo / (np.pi * n * n * (1.0 - albedo * returned)))
 
 
 def _rates(medium: Medium, cos: Array, facing: Array) -> tuple[Array, Array]:
@@ -202,12 +202,12 @@ def _rates(medium: Medium, cos: Array, facing: Array) -> tuple[Array, Array]:
         extinct += medium.absorb / cos[:, None]
     turned = np.zeros_like(extinct)
     for k, sigma in enumerate(medium.sigma):
-        met = (medium.number[k] * np.sqrt(sigma**2 * (1.0 - cos**2) + cos**2) / cos)[:, None]
+        crossed = (medium.number[k] * np.sqrt(sigma**2 * (1.0 - cos**2) + cos**2) / cos)[:, None]
         at = np.sqrt(facing) * (medium.reflect.shape[1] - 1)
         low = np.minimum(at.astype(int), medium.reflect.shape[1] - 2)
         part = (at - low)[:, None]
         for table, total in ((medium.reflect[k], turned), (1.0 - medium.transmit[k], extinct)):
-            total += met * (table[low] * (1.0 - part) + table[low + 1] * part)
+            total += crossed * (table[low] * (1.0 - part) + table[low + 1] * part)
     return extinct, np.minimum(turned, extinct)
 
 

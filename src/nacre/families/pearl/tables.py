@@ -58,8 +58,8 @@ def bake(lobe: Layered, effort: float = 1.0, seed: int = 1) -> PlateletLayer:
 
 def largest_power_error(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 177) -> float:
     """Return the largest reflectance error found at a few incidences, absolute, with a margin."""
-    found, noise = power_difference(lobe, table, np.radians(POWER_DEG), _limited(lobe, effort), seed)
-    return min(ERROR_MARGIN * float(np.max(np.maximum(np.abs(found), noise))), 1.0)
+    differences, noise = power_difference(lobe, table, np.radians(POWER_DEG), _limited(lobe, effort), seed)
+    return min(ERROR_MARGIN * float(np.max(np.maximum(np.abs(differences), noise))), 1.0)
 
 
 def _limited(lobe: Layered, effort: float) -> float:
@@ -80,8 +80,8 @@ def power_difference(
     """
     spread = _spread(random_walk.Medium.of(lobe))
     parts = _independent_walks(lobe, theta_rad, (POWER_WALKS, POWER_WALKS), effort, seed).sum(axis=2)
-    ours = np.stack([_bins(table, float(theta), spread)[0].sum(axis=0) for theta in theta_rad])
-    return parts.mean(axis=1) - ours, parts.std(axis=1, ddof=1) / np.sqrt(random_walk.CHUNKS)
+    tabulated = np.stack([_bins(table, float(theta), spread)[0].sum(axis=0) for theta in theta_rad])
+    return parts.mean(axis=1) - tabulated, parts.std(axis=1, ddof=1) / np.sqrt(random_walk.CHUNKS)
 
 
 def tables(lobe: Layered, effort: float = 1.0, seed: int = 1) -> PlateletLayer:
@@ -131,18 +131,18 @@ def _interface(medium: random_walk.Medium) -> tuple[Array, Array]:
     """Return the interface transmittance and reflectance on uniform sqrt(cos) nodes."""
     cos = np.maximum(np.linspace(0.0, 1.0, ENTRY_NODES) ** 2, 1e-7)
     if medium.alpha == 0:
-        bare = fresnel(cos, medium.n)
-        return 1.0 - bare, bare
+        smooth = fresnel(cos, medium.n)
+        return 1.0 - smooth, smooth
     entry, surface = np.zeros(ENTRY_NODES), np.zeros(ENTRY_NODES)
     for i, c in enumerate(cos):
         w = np.array([np.sqrt(1.0 - c * c), 0.0, c])
         m, weight = visible_normals("ggx", w, medium.alpha, medium.alpha, 64)
         weight = weight / weight.sum()
-        bare = fresnel(np.clip(m @ w, 1e-9, 1.0), medium.n)
+        smooth = fresnel(np.clip(m @ w, 1e-9, 1.0), medium.n)
         back, through = facet_exits(w, m, medium.n)
         up = np.where(back[:, 2] > 0, smith_masking("ggx", back, medium.alpha, medium.alpha), 0.0)
         down = np.where(through[:, 2] < 0, smith_masking("ggx", through, medium.alpha, medium.alpha), 0.0)
-        entry[i], surface[i] = np.sum(weight * (1 - bare) * down), np.sum(weight * bare * up)
+        entry[i], surface[i] = np.sum(weight * (1 - smooth) * down), np.sum(weight * smooth * up)
     return entry, surface
 
 
@@ -213,18 +213,18 @@ def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 
         averaged over bins, without the walks' noise; and that noise.
     """
     spread, count, theta_rad = _spread(random_walk.Medium.of(lobe)), len(lobe.wavelengths_nm), np.radians(CHECK_DEG)
-    found = _independent_walks(lobe, theta_rad, (CHECK_WALKS, CHECK_SINGLES), effort, seed)
+    walked = _independent_walks(lobe, theta_rad, (CHECK_WALKS, CHECK_SINGLES), effort, seed)
     error, noise, size = np.zeros(count), np.zeros(count), np.zeros(count)
-    for theta, reference in zip(theta_rad, found, strict=True):
-        ours, surface, solid = _bins(table, float(theta), spread)
+    for theta, reference in zip(theta_rad, walked, strict=True):
+        tabulated, surface, solid = _bins(table, float(theta), spread)
         weight = np.where(solid > 0, 1.0 / np.maximum(solid, 1e-12), 0.0)[:, None]
-        difference = reference - ours
+        difference = reference - tabulated
         total = difference.sum(axis=0)
         squares = np.sum(difference**2, axis=0)
         # mean product between differences from two chunks
         error += np.sum(weight * (total**2 - squares), axis=0) / (random_walk.CHUNKS * (random_walk.CHUNKS - 1))
         noise += np.sum(weight * reference.var(axis=0, ddof=1), axis=0) / random_walk.CHUNKS
-        size += np.sum(weight * (ours + surface[:, None]) ** 2, axis=0)
+        size += np.sum(weight * (tabulated + surface[:, None]) ** 2, axis=0)
     size = np.maximum(size, 1e-30)
     return np.sqrt(np.maximum(error, 0.0) / size), np.sqrt(noise / size)
 

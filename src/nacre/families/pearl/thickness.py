@@ -383,8 +383,8 @@ def _by_series(p: float, amplitudes: Any, i: int, pol: int, flakes: Any) -> Any:
     r0, c0 = r_a[pol, i], big_c[pol, i]
     airy = (1.0 + 2.0 * s1.real) / (1.0 - size * size)
     cross = (r0.conjugate() * c0 * s2).real
-    bare, added = r0.real * r0.real + r0.imag * r0.imag, (c0.real * c0.real + c0.imag * c0.imag) * airy
-    return bare + 2.0 * cross + added, transfer[pol, i] * airy
+    uncoated, added = r0.real * r0.real + r0.imag * r0.imag, (c0.real * c0.real + c0.imag * c0.imag) * airy
+    return uncoated + 2.0 * cross + added, transfer[pol, i] * airy
 
 
 @compiled(error_model="numpy", nogil=True)

@@ -104,7 +104,7 @@ class HeightOptions:
 
         pitch = None if self.feature_um is None else (self.feature_um, self.feature_um)
         try:
-            found = read_map(path, ReadOptions(unit=self.height_unit, pitch_um=pitch, channel=self.channel))
+            measured = read_map(path, ReadOptions(unit=self.height_unit, pitch_um=pitch, channel=self.channel))
         except AmbiguousFileError as error:
             choices = f"; allowed: {', '.join(error.choices)}" if error.choices else ""
             key = KEYS.get(error.option, error.option)
@@ -113,16 +113,16 @@ class HeightOptions:
             reason = str(error).removeprefix(f"{path}: ")
             reason = f"height_{reason}" if reason.startswith("unit = ") else reason
             raise context.fail("heights", self.name, reason) from None
-        own = found.metadata["pitch_um"]
+        own = measured.metadata["pitch_um"]
         if pitch is not None and not np.allclose(pitch, own, rtol=1e-3):
             raise context.fail(
                 "feature_um", self.feature_um, f"contradicts {path.name}, whose points are {own[0]:.4g} x {own[1]:.4g} "
                 "um apart; leave it out",
             )  # fmt: skip
         # x along the picture's rows, y upward
-        heights = found.data["height_um"].T[:, ::-1]
-        is_periodic = found.metadata.get("is_period", False) if self.periodic is None else self.periodic
-        return Heights(heights, own, is_periodic, True, tuple(found.assumed))
+        heights = measured.data["height_um"].T[:, ::-1]
+        is_periodic = measured.metadata.get("is_period", False) if self.periodic is None else self.periodic
+        return Heights(heights, own, is_periodic, True, tuple(measured.assumed))
 
     def _check_unit(self, heights: Array, context: RecipeContext) -> None:
         """Refuse numbers of which another unit is far more likely."""
@@ -238,13 +238,13 @@ def scan_of(heights: Heights, options: HeightOptions, context: RecipeContext) ->
         raise context.fail("heights", options.name, f"has holes in {100 * holes:.3g} % of its points; at most 10 %")
     if holes > 0:
         remarks.append(f"{100 * holes:.2g} % of the points of {options.name} are holes, filled from their neighbours")
-    found = roughness(values.T, pitch)
+    measured = roughness(values.T, pitch)
     fitted = plane(values)
     flat = filled(without_plane(values, fitted))
     tilt = (fitted[1] / pitch[0], fitted[2] / pitch[1])
     is_levelled = options.level == "plane" or (options.level is None and heights.is_instrument)
-    if is_levelled and found.tilt_deg > 0.01:
-        remarks.append(f'a tilt of {found.tilt_deg:.3g} degrees was removed; level = "none" keeps it')
+    if is_levelled and measured.tilt_deg > 0.01:
+        remarks.append(f'a tilt of {measured.tilt_deg:.3g} degrees was removed; level = "none" keeps it')
     if np.ptp(flat) > MAX_SCAN_UM:
         raise context.fail(
             "heights", options.name, f"spans {np.ptp(flat):.4g} um without its plane; at most {MAX_SCAN_UM:g} um: "
@@ -259,10 +259,10 @@ def scan_of(heights: Heights, options: HeightOptions, context: RecipeContext) ->
         flat = gaussian_filter(flat, options.blur_um / step, mode="mirror")
     figures = {
         "points_x": float(values.shape[0]), "points_y": float(values.shape[1]), "pitch_x_um": pitch[0],
-        "pitch_y_um": pitch[1], "sq_um": found.sq_um, "sdq": found.sdq, "tilt_deg": found.tilt_deg,
-        "peak_to_valley_um": found.peak_to_valley_um,
+        "pitch_y_um": pitch[1], "sq_um": measured.sq_um, "sdq": measured.sdq, "tilt_deg": measured.tilt_deg,
+        "peak_to_valley_um": measured.peak_to_valley_um,
     }  # fmt: skip
-    if found.correlation_length_um is not None:
-        figures["correlation_length_um"] = found.correlation_length_um
-    kept = (0.0, 0.0) if is_levelled else tilt
-    return Scan(1e3 * flat, 1e3 * step, kept, options.statistics, tuple(figures.items()), tuple(remarks))
+    if measured.correlation_length_um is not None:
+        figures["correlation_length_um"] = measured.correlation_length_um
+    residual_tilt = (0.0, 0.0) if is_levelled else tilt
+    return Scan(1e3 * flat, 1e3 * step, residual_tilt, options.statistics, tuple(figures.items()), tuple(remarks))

@@ -142,12 +142,12 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Slopes too steep, or features too small, for scalar diffraction; corrections applied to a scan."""
-        found = self.validity
+        validity = self.validity
         lines: tuple[str, ...] = (self.remark,) if self.remark else ()
-        if found.is_outside:
-            lines += (found.line(),)
+        if validity.is_outside:
+            lines += (validity.line(),)
         if not isinstance(self.tile, Scan):
-            if found.is_outside and self.pattern is not None and not self.vector_obstacle(MAX_UNKNOWNS):
+            if validity.is_outside and self.pattern is not None and not self.vector_obstacle(MAX_UNKNOWNS):
                 lines = (*lines[:-1], f"{lines[-1]}; {WAY_OUT} {self.pattern.noun}")
             return lines
         angle = self.tile.resolved_deg

@@ -97,8 +97,8 @@ class Scan:
     @functools.cached_property
     def slopes(self) -> tuple[float, float]:
         """Root mean square slopes along x and y."""
-        found = [float(np.sqrt(np.mean(np.diff(self.heights_nm, axis=k) ** 2))) / self.pitch_nm for k in (0, 1)]
-        return found[0], found[1]
+        slopes = [float(np.sqrt(np.mean(np.diff(self.heights_nm, axis=k) ** 2))) / self.pitch_nm for k in (0, 1)]
+        return slopes[0], slopes[1]
 
     @functools.cached_property
     def kind(self) -> Statistics:
@@ -145,8 +145,8 @@ class Scan:
         window = taper[:, None] * taper
         norm = float((window.astype(float) ** 2).sum())
         parts = [self._part(corner, side, upsampling) for corner in corners]
-        held = min((period - 1) // 2, int(np.ceil(highest_per_nm * period * self.pitch_nm / upsampling)))
-        keep = np.arange(-held, held + 1) % period
+        highest = min((period - 1) // 2, int(np.ceil(highest_per_nm * period * self.pitch_nm / upsampling)))
+        keep = np.arange(-highest, highest + 1) % period
 
         def power(kappa: float) -> tuple[float, RealArray]:
             mean = 0.0j
@@ -174,7 +174,7 @@ class Scan:
         worth = 1.0 if len(parts) == 1 else 0.75 * len(parts)
         noise = float(1.0 / np.sqrt(max(1.0, cells * worth)))
         size = 12.0 * len(parts) * samples**2 + 16.0 * samples * period + 16.0 * len(keep) ** 2
-        return ScanLines(period * self.pitch_nm / upsampling, held, power, len(parts), noise, upsampling, size)
+        return ScanLines(period * self.pitch_nm / upsampling, highest, power, len(parts), noise, upsampling, size)
 
     def _part(self, corner: tuple[int, int], side: int, upsampling: int) -> RealArray:
         part = self.heights_nm[corner[0] : corner[0] + side, corner[1] : corner[1] + side]
@@ -199,27 +199,27 @@ class Scan:
         pitch = self.pitch_nm / upsampling
         period = scipy.fft.next_fast_len(2 * reach + 1)
         lag = np.abs(np.arange(-reach, reach + 1))
-        is_whole = reach * pitch >= LAG_WIDTHS * width_nm
-        edge = np.cos(0.5 * np.pi * lag / (reach + 1)) ** 2 if not is_whole else np.ones(len(lag))
+        is_complete = reach * pitch >= LAG_WIDTHS * width_nm
+        edge = np.cos(0.5 * np.pi * lag / (reach + 1)) ** 2 if not is_complete else np.ones(len(lag))
         taper = (edge[:, None] * edge).astype(np.float32)
         variance = float(near[reach, reach])
         missing = (variance - near).astype(np.float32)
-        held = min((period - 1) // 2, int(np.ceil(highest_per_nm * period * pitch)))
-        keep = np.arange(-held, held + 1) % period
+        highest = min((period - 1) // 2, int(np.ceil(highest_per_nm * period * pitch)))
+        keep = np.arange(-highest, highest + 1) % period
 
         def power(kappa: float) -> tuple[float, RealArray]:
             square = (2.0 * np.pi * kappa) ** 2
             mirror = float(np.exp(-square * variance))
-            kept = (np.exp(missing * np.float32(-square)) - np.float32(mirror)) * taper
+            retained = (np.exp(missing * np.float32(-square)) - np.float32(mirror)) * taper
             placed = np.zeros((period, period), np.float32)
-            placed[: 2 * reach + 1, : 2 * reach + 1] = kept
+            placed[: 2 * reach + 1, : 2 * reach + 1] = retained
             placed = np.roll(placed, (-reach, -reach), axis=(0, 1))
             spectrum = scipy.fft.fft2(placed)
             return mirror, np.ascontiguousarray(spectrum.real[np.ix_(keep, keep)]) / np.float32(period**2)
 
         area = self.heights_nm.size * self.pitch_nm**2
         noise = float(1.0 / np.sqrt(max(1.0, area / (4.0 * np.pi * width_nm**2))))
-        return ScanLines(period * pitch, held, power, 1, noise, upsampling, 32.0 * period**2)
+        return ScanLines(period * pitch, highest, power, 1, noise, upsampling, 32.0 * period**2)
 
     def validity(self, wavelength_scale: float = 1.0) -> Validity:
         """Return the validity range of a sinusoid with the same Sq and mean distance of crossings."""
@@ -244,9 +244,9 @@ def _corners(shape: tuple[int, ...], side: int, most: int) -> list[tuple[int, in
     """Return corners of windows that overlap by half, thinned evenly to `most`."""
     counts = [max(1, int(np.ceil(2.0 * n / side)) - 1) for n in shape]
     places = [np.linspace(0, n - side, count).round().astype(int) for n, count in zip(shape, counts)]
-    found = [(int(x), int(y)) for x in places[0] for y in places[1]]
-    chosen = np.linspace(0, len(found) - 1, min(most, len(found))).round().astype(int)
-    return [found[k] for k in chosen]
+    corners = [(int(x), int(y)) for x in places[0] for y in places[1]]
+    chosen = np.linspace(0, len(corners) - 1, min(most, len(corners))).round().astype(int)
+    return [corners[k] for k in chosen]
 
 
 def _azimuthal_mean(near: Array) -> Array:
@@ -301,9 +301,9 @@ def suggested(heights_nm: Array) -> Statistics:
 def _decay_lengths(ratio: Array, reach: int) -> Array:
     """Return the lags, in points, at which the autocorrelation falls to 1/e along 12 azimuths; infinite if never."""
     radii = np.arange(0.0, reach, 0.5)
-    found = []
+    lags = []
     for phi in np.arange(12) * (np.pi / 12):
         places = np.stack([reach + radii * np.cos(phi), reach + radii * np.sin(phi)])
         below = np.flatnonzero(map_coordinates(ratio, places, order=1) < np.exp(-1.0))
-        found.append(radii[below[0]] if below.size else np.inf)
-    return np.array(found)
+        lags.append(radii[below[0]] if below.size else np.inf)
+    return np.array(lags)

@@ -149,8 +149,8 @@ def map_values(
     first, skip = _guard_nodes(len(plan.psi), plan.step, coherence.blur)
     chosen = _guard_wavelengths(len(wavelengths_nm))
     coarse, nm = plan.psi[first::skip], wavelengths_nm[chosen]
-    wanted = [(plan.psi[along_x], plan.psi[along_y], wavelengths_nm), (coarse, coarse, nm)]
-    table, *rest = plan.tables(wanted if bounded else wanted[:1])
+    grids = [(plan.psi[along_x], plan.psi[along_y], wavelengths_nm), (coarse, coarse, nm)]
+    table, *rest = plan.tables(grids if bounded else grids[:1])
     lobe = plan.lobe(table, plan.psi, wavelengths_nm, fresnel, prefactor)
     values = lobe.bare(wi, wo, near + (place - centre))
     if not bounded:
@@ -201,10 +201,10 @@ class _Plan:
         """Return B-spline coefficients `[psi_x, psi_y, xi, wavelength]`; with the lines of one kappa node in memory."""
         return self.tables([(psi_x, psi_y, wavelengths_nm)])[0]
 
-    def tables(self, wanted: list[tuple[Array, Array, Array]]) -> list[NDArray[np.float32]]:
+    def tables(self, grids: list[tuple[Array, Array, Array]]) -> list[NDArray[np.float32]]:
         """Return several tables from one computation of the lines; see `table`."""
-        held, power, node_bytes = self._lines()
-        parts = [_Part(self, held, *one) for one in wanted]
+        highest, power, node_bytes = self._lines()
+        parts = [_Part(self, highest, *one) for one in grids]
 
         def fill(node: int) -> None:
             mirror, lines = power(float(self.kappas[node]))
@@ -222,10 +222,12 @@ class _Plan:
         assert isinstance(self.tile, Tile)
         surface = self.tile.surface_nm(self.sampling.samples_per_feature).astype(np.float32)
         samples = surface.shape[0]
-        held = min(self.highest, (samples - 1) // 2)
-        basis = None if is_fft_cheaper(samples, held) else line_basis(samples, held, np.float32)
+        highest = min(self.highest, (samples - 1) // 2)
+        basis = None if is_fft_cheaper(samples, highest) else line_basis(samples, highest, np.float32)
         return (
-            held, lambda kappa: (0.0, line_power(surface, kappa, held, basis)), FIELD_BYTES_PER_SAMPLE * samples**2,
+            highest,
+            lambda kappa: (0.0, line_power(surface, kappa, highest, basis)),
+            FIELD_BYTES_PER_SAMPLE * samples**2,
         )  # fmt: skip
 
 
@@ -243,8 +245,8 @@ class _Smoothing:
 class _Part:
     """A table under construction: smoothed lines of each kappa node, then interpolated to xi and wavelength."""
 
-    def __init__(self, plan: _Plan, held: int, psi_x: Array, psi_y: Array, wavelengths_nm: Array) -> None:
-        self._plan, self._held, self._wavelengths = plan, held, wavelengths_nm
+    def __init__(self, plan: _Plan, highest: int, psi_x: Array, psi_y: Array, wavelengths_nm: Array) -> None:
+        self._plan, self._held, self._wavelengths = plan, highest, wavelengths_nm
         self._shape = (len(psi_x), len(psi_y))
         self._psi = psi_x, psi_y
         tilt = plan.tile.tilt if isinstance(plan.tile, Scan) else (0.0, 0.0)
@@ -315,8 +317,8 @@ def _bands(matrix: NDArray[np.float32]) -> Bands:
     least = NEGLIGIBLE * float(np.abs(matrix).max(initial=0.0))
     for start in range(0, len(matrix), BAND_ROWS):
         rows = slice(start, min(start + BAND_ROWS, len(matrix)))
-        reached = np.flatnonzero(np.abs(matrix[rows]).max(axis=0) > least)
-        columns = slice(int(reached[0]), int(reached[-1]) + 1) if reached.size else slice(0, 1)
+        nonzero = np.flatnonzero(np.abs(matrix[rows]).max(axis=0) > least)
+        columns = slice(int(nonzero[0]), int(nonzero[-1]) + 1) if nonzero.size else slice(0, 1)
         blocks.append((rows, columns, np.ascontiguousarray(matrix[rows, columns])))
     return blocks
 

@@ -144,7 +144,7 @@ class Lines:
         """Return the steps between vertical walls, from the top down, of two permittivities."""
         levels = np.unique(self.heights_nm)
         count, centre = len(self.heights_nm), 0.5 * self.period_nm
-        found = []
+        steps = []
         for low, high in zip(levels[:-1], levels[1:], strict=True):
             inside = self.heights_nm > 0.5 * (low + high)
             starts = np.flatnonzero(inside & ~np.roll(inside, 1))
@@ -154,8 +154,8 @@ class Lines:
                 x_0 = start * self.feature_nm - centre
                 shapes.append((Rectangle(x_0, x_0 + length * self.feature_nm), body))
             assert count > len(starts)
-            found.append(PatternLayer(float(high - low), cover, tuple(shapes)))
-        return tuple(reversed(found))
+            steps.append(PatternLayer(float(high - low), cover, tuple(shapes)))
+        return tuple(reversed(steps))
 
     def stacks(self, cover: Array, body: NDArray[np.complex128]) -> list[PeriodicStack]:
         """Return the structure for each index `[wavelength]` of the medium above (real) and of the body."""
@@ -274,7 +274,7 @@ class Blocks:
         for axis in (0, 1):
             halves = np.roll(halves, _to_middle((halves == values[-1]).any(axis=1 - axis)), axis)
         middle, side = [0.5 * count for count in halves.shape], 0.5 * self.feature_nm
-        found = []
+        steps = []
         for low, high in zip(values[:-1], values[1:], strict=True):
             shapes = tuple(
                 (
@@ -286,8 +286,8 @@ class Blocks:
                 )
                 for x_0, x_1, y_0, y_1 in _rectangles(halves > low)
             )  # fmt: skip
-            found.append(PatternLayer(float(high - low), cover, shapes))
-        return tuple(reversed(found))
+            steps.append(PatternLayer(float(high - low), cover, shapes))
+        return tuple(reversed(steps))
 
     def stacks(self, cover: Array, body: NDArray[np.complex128]) -> list[PeriodicStack]:
         """Return the structure for each index `[wavelength]` of the medium above (real) and of the body."""
@@ -309,15 +309,15 @@ def _to_middle(occupied: Mask) -> int:
 def _rectangles(mask: Mask) -> list[tuple[int, int, int, int]]:
     """Return boxes (x_0, x_1, y_0, y_1) of features that fill a mask without overlap."""
     left = mask.copy()
-    found = []
+    boxes = []
     while left.any():
         x, y = (int(v) for v in np.argwhere(left)[0])
         y_1 = y + int(np.argmin(np.append(left[x, y:], False)))
         rows = np.append(left[x:, y:y_1].all(axis=1), False)
         x_1 = x + int(np.argmin(rows))
         left[x:x_1, y:y_1] = False
-        found.append((x, x_1, y, y_1))
-    return found
+        boxes.append((x, x_1, y, y_1))
+    return boxes
 
 
 def blocks_of(tile: Tile) -> Blocks:

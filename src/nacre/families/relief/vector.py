@@ -53,11 +53,11 @@ class VectorRelief(Diffracting, Fabricable):
     def warnings(self) -> tuple[str, ...]:
         """Why the theory was chosen, and a remark if the orders are narrower than the coherence requires."""
         lines: tuple[str, ...] = (self.reason,) if self.reason else ()
-        width, asked = self._width(float(self.wavelengths_nm[0])), self._coherence_width
-        if width < 0.99 * asked:
+        width, requested = self._width(float(self.wavelengths_nm[0])), self._coherence_width
+        if width < 0.99 * requested:
             lines += (
                 f"orders of a period of {self.pattern.period_nm / 1e3:.3g} um overlap in light of this coherence; "
-                f"pictures show them {asked / width:.2g} times narrower",
+                f"pictures show them {requested / width:.2g} times narrower",
             )
         return lines
 
@@ -93,22 +93,22 @@ class VectorRelief(Diffracting, Fabricable):
         stacks = dict(zip(lam.tolist(), self.stacks(lam), strict=True))
         turn = QUARTER if self._is_turned else 0.0
         is_strict = self.tolerance is not None
-        found = solve_orders(lambda w: stacks[w], theta_rad, azimuth_rad - turn, lam, self._tolerance, is_strict)
-        if not is_strict and float(found.error.max()) > LARGEST_ERROR:
+        orders = solve_orders(lambda w: stacks[w], theta_rad, azimuth_rad - turn, lam, self._tolerance, is_strict)
+        if not is_strict and float(orders.error.max()) > LARGEST_ERROR:
             raise NotConvergedError(
-                f"orders of the relief: error {found.error.max():.1e}; allowed: at most {LARGEST_ERROR:g}, by flatter "
+                f"orders of the relief: error {orders.error.max():.1e}; allowed: at most {LARGEST_ERROR:g}, by flatter "
                 'heights, more blur, or model.optics = "scalar"'
             )
         if not self._is_turned:
-            return found
+            return orders
 
         def turned(directions: Array) -> Array:
             return np.stack([-directions[..., 1], directions[..., 0], directions[..., 2]], axis=-1)
 
         return replace(
-            found, numbers=found.numbers[:, ::-1], azimuth_rad=azimuth_rad,
-            reflected_direction=turned(found.reflected_direction),
-            transmitted_direction=turned(found.transmitted_direction),
+            orders, numbers=orders.numbers[:, ::-1], azimuth_rad=azimuth_rad,
+            reflected_direction=turned(orders.reflected_direction),
+            transmitted_direction=turned(orders.transmitted_direction),
         )  # fmt: skip
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:

@@ -80,8 +80,8 @@ class AlignedLayer:
 
     @cached_property
     def _kept(self) -> tuple[MultipoleIndex, NDArray[np.intp]]:
-        alone = self.mean.spheres[0]
-        return truncated_index(alone.lmax, alone.mmax)
+        sphere = self.mean.spheres[0]
+        return truncated_index(sphere.lmax, sphere.mmax)
 
     @cached_property
     def dressed(self) -> ComplexArray:
@@ -126,8 +126,8 @@ class AlignedLayer:
         here = phase[:, few]
         among = here[:, :, None] * self.dressed[few[:, None], few] * here.conj()[:, None, :]
         system = np.eye(len(few)) - among[:, None] @ sums  # azimuth, angle, n, n'
-        met = np.linalg.solve(system, own[:, :, few].transpose(0, 3, 2, 1))
-        added = (sums @ met).transpose(0, 3, 2, 1)  # azimuth, pol, n, angle
+        local = np.linalg.solve(system, own[:, :, few].transpose(0, 3, 2, 1))
+        added = (sums @ local).transpose(0, 3, 2, 1)  # azimuth, pol, n, angle
         passed = self.dressed[:, few] @ (here.conj()[:, None, :, None] * added)
         return AlignedIllumination(
             directions, with_negative_orders(directions.emission, self.index), own + turn * passed
@@ -150,9 +150,9 @@ class AlignedLayer:
         reflected = np.sum(np.abs(r) ** 2, axis=1)
         if not layer.transmits_below:
             return reflected, np.zeros(reflected.shape)
-        out, cos_below, bare = layer.refracted(cosines)
+        out, cos_below, uncovered = layer.refracted(cosines)
         sent = self.coherent_sum(with_negative_orders(out[0].emission, self.index), lit)
-        t = 2 * np.pi * rho / (k * cos_below) * sent + _both(bare)
+        t = 2 * np.pi * rho / (k * cos_below) * sent + _both(uncovered)
         return reflected, cos_below / cosines * np.sum(np.abs(t) ** 2, axis=1)
 
     def specular_below(self, cosines: Array, azimuths: Array) -> Array:
@@ -209,7 +209,7 @@ def aligned_term(layer: AlignedLayer, sides: list[tuple[AlignedIllumination, Arr
     is_below = np.concatenate([np.full(w.size, lit.directions.below) for lit, w in sides])
     layer_mean = layer.mean
     k, rho = layer_mean.surface.wavenumber, layer_mean.structure.density_per_nm2
-    leaving, met = _turned(layer, sides, count)
+    leaving, arriving = _turned(layer, sides, count)
     smooth_s = smooth_structure(joined, layer, k, count)
     size = joined.cosines.size
     power = np.empty((size, 2, count, size, 2, count))
@@ -219,8 +219,8 @@ def aligned_term(layer: AlignedLayer, sides: list[tuple[AlignedIllumination, Arr
     scale = rho / (joined.index[:, None] * joined.index)
     for s in range(size):
         part = slice(0, s + 1)
-        forth = _squared(leaving[s], met[part])  # q b, i p a
-        back = _squared(leaving[part], met[s], True)
+        forth = _squared(leaving[s], arriving[part])  # q b, i p a
+        back = _squared(leaving[part], arriving[s], True)
         weighted = (scale[s, part] * step)[:, None, None] * smooth_s[s, part]  # i b a
         to_s = np.einsum("qbipa,iba->ipa", forth, weighted)
         totals[int(is_below[s]), part] += weights[s] * to_s
@@ -255,25 +255,25 @@ def _turned(
     response = np.concatenate([lit.response for lit, _ in sides], axis=-1).transpose(3, 1, 0, 2)
     wave = np.exp(1j * np.multiply.outer(alpha, m))
     leaving = emission[:, :, None] * wave / root
-    met = response * (wave * np.where(m % 2 == 0, 1.0, -1.0)).conj() / root
-    return np.ascontiguousarray(leaving), np.ascontiguousarray(met)
+    arriving = response * (wave * np.where(m % 2 == 0, 1.0, -1.0)).conj() / root
+    return np.ascontiguousarray(leaving), np.ascontiguousarray(arriving)
 
 
-def _squared(leaving: ComplexArray, met: ComplexArray, is_reverse: bool = False) -> Array:
+def _squared(leaving: ComplexArray, arriving: ComplexArray, is_reverse: bool = False) -> Array:
     """Return |F|^2 for one angle s and several i, `[q, b, i, p, a]`; reversed: light from s to i."""
     n = leaving.shape[-1]
-    of_leaving, of_met = leaving.reshape(-1, n), met.reshape(-1, n)
-    found = of_met @ of_leaving.T if is_reverse else of_leaving @ of_met.T
-    one, many = (met, leaving) if is_reverse else (leaving, met)
-    return np.asarray((found.real**2 + found.imag**2).reshape(*one.shape[:2], *many.shape[:3]))
+    of_leaving, of_arriving = leaving.reshape(-1, n), arriving.reshape(-1, n)
+    amplitude = of_arriving @ of_leaving.T if is_reverse else of_leaving @ of_arriving.T
+    one, many = (arriving, leaving) if is_reverse else (leaving, arriving)
+    return np.asarray((amplitude.real**2 + amplitude.imag**2).reshape(*one.shape[:2], *many.shape[:3]))
 
 
 def far_powers(layer: AlignedLayer, leaving: Directions, lit: AlignedIllumination, count: int) -> Array:
     """Return |F|^2 at `count` azimuths relative to the light, `[q, azimuth, s, p, i]`, nm^2."""
     emission = with_negative_orders(leaving.emission, layer.index)  # q, n, s
     wave = np.exp(1j * np.multiply.outer(azimuth_nodes(count), layer.index.m))
-    found = np.einsum("qns,bn,pni->qbspi", emission, wave, lit.response[0], optimize=True)
-    return np.asarray((found.real**2 + found.imag**2) / layer.mean.surface.inner_wavenumber**2)
+    amplitude = np.einsum("qns,bn,pni->qbspi", emission, wave, lit.response[0], optimize=True)
+    return np.asarray((amplitude.real**2 + amplitude.imag**2) / layer.mean.surface.inner_wavenumber**2)
 
 
 def smooth_structure(
@@ -307,11 +307,11 @@ def _factors(flow: Array, totals: Array, weights: Array, is_below: NDArray[np.bo
     out = np.ones((size * 2 * count, 2))
     above, below = rows(np.nonzero(~is_below)[0]), rows(np.nonzero(is_below)[0])
 
-    def block(seen: NDArray[np.intp], lit: NDArray[np.intp]) -> Array:
-        return flat[seen[:, None], lit] if below.size else flat
+    def block(viewed: NDArray[np.intp], lit: NDArray[np.intp]) -> Array:
+        return flat[viewed[:, None], lit] if below.size else flat
 
-    def total(seen: NDArray[np.intp], lit: NDArray[np.intp]) -> Array:
-        return np.asarray(sums[int(seen is below), lit])
+    def total(viewed: NDArray[np.intp], lit: NDArray[np.intp]) -> Array:
+        return np.asarray(sums[int(viewed is below), lit])
 
     balanced_factors(out, block, total, np.repeat(weights, 2 * count), above, below)
     return out.reshape(size, 2, count, 2)
@@ -361,17 +361,17 @@ def series_orders() -> NDArray[np.int64]:
 def _series(values: Array, grids: evaluation.Grids) -> NDArray[np.float32]:
     """Return the Fourier series of f, `[s, b, i, a]`, fitted to linear interpolation, `[pair, term]`."""
     count = values.shape[1]
-    found: ComplexArray = np.fft.fft2(values.transpose(0, 2, 1, 3)) / count**2
+    series: ComplexArray = np.fft.fft2(values.transpose(0, 2, 1, 3)) / count**2
     orders = series_orders()
     half = orders[orders[:, 2] == 0, :2]
-    found = found[:, :, half[:, 0] % count, half[:, 1] % count]
+    series = series[:, :, half[:, 0] % count, half[:, 1] % count]
     starts = [0] if grids.below is None else [0, grids.above.size]
     for start in starts:  # no azimuth at the normal
-        found[start, :, half[:, 0] != 0] = 0.0
-        found[:, start, half[:, 1] != 0] = 0.0
-    found = found - _curvature(found, grids, half) / 12.0
-    real = np.where(np.any(half != 0, axis=1), 2.0, 1.0) * found.real
-    return pack_triangle(np.concatenate([real, -2.0 * found.imag], axis=-1))
+        series[start, :, half[:, 0] != 0] = 0.0
+        series[:, start, half[:, 1] != 0] = 0.0
+    series = series - _curvature(series, grids, half) / 12.0
+    real = np.where(np.any(half != 0, axis=1), 2.0, 1.0) * series.real
+    return pack_triangle(np.concatenate([real, -2.0 * series.imag], axis=-1))
 
 
 def _curvature(table: ComplexArray, grids: evaluation.Grids, half: NDArray[np.int64]) -> ComplexArray:

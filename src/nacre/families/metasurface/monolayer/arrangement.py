@@ -283,8 +283,8 @@ def measured_structure_factor(pattern: Pattern, q_edges_per_nm: Array) -> Array:
     total = np.bincount(which[inside], power[inside], len(q_edges_per_nm) - 1)
     modes = np.bincount(which[inside], minlength=len(q_edges_per_nm) - 1)
     centres = (q_edges_per_nm[1:] + q_edges_per_nm[:-1]) / 2
-    found = modes > 0
-    return np.interp(centres, centres[found], total[found] / modes[found])
+    filled = modes > 0
+    return np.interp(centres, centres[filled], total[filled] / modes[filled])
 
 
 @compiled(nogil=True)
@@ -444,23 +444,23 @@ def jittered_structure(
 
 
 def points_pattern(
-    context: RecipeContext, given: FileSpec | str, diameter_nm: float, width_um: float | None = None
+    context: RecipeContext, spec: FileSpec | str, diameter_nm: float, width_um: float | None = None
 ) -> Pattern:
     """Read points as one square period: a list with x and y in um per line, or a picture.
 
     The middle square is used if the area is not square.
 
     Args:
-        given: the file, or its name.
+        spec: the file, or its name.
         width_um: picture width.
 
     Raises:
         RecipeError: the file is unusable, or particles overlap.
     """
-    given = FileSpec(file=given) if isinstance(given, str) else given
-    key, name = "monolayer.structure.points", given.file
+    spec = FileSpec(file=spec) if isinstance(spec, str) else spec
+    key, name = "monolayer.structure.points", spec.file
     if width_um is None:
-        xy_um = recipe_curve(context, key, given, (X_UM, Y_UM))
+        xy_um = recipe_curve(context, key, spec, (X_UM, Y_UM))
     else:
         xy_um = _points_in_picture(context, name, width_um)
     _check_count(context, key, name, xy_um, "" if width_um is None else " in its middle square, which is what is taken")
@@ -505,15 +505,15 @@ def _points_in_picture(context: RecipeContext, name: str, width_um: float) -> Ar
     try:
         if plain(path).stat().st_size > MAX_FILE_BYTES:
             raise NacreError(f"is larger than {MAX_FILE_BYTES >> 20} MB")
-        found = find_particles(grey_levels(path), width_um)
+        blobs = find_particles(grey_levels(path), width_um)
     except OSError as error:
         raise context.fail("monolayer.structure.points", name, why_unreadable(error)) from None
     except NacreError as error:
         raise context.fail("monolayer.structure.points", name, str(error)) from None
-    logger.log(logging.WARNING if found.left_out else logging.INFO, "%s: %s: %s", context.source, name, found.summary)
-    side = min(found.size_um)
-    away = np.abs(found.xy_um - np.array(found.size_um) / 2).max(axis=1)
-    return found.xy_um[away < side / 2]
+    logger.log(logging.WARNING if blobs.left_out else logging.INFO, "%s: %s: %s", context.source, name, blobs.summary)
+    side = min(blobs.size_um)
+    away = np.abs(blobs.xy_um - np.array(blobs.size_um) / 2).max(axis=1)
+    return blobs.xy_um[away < side / 2]
 
 
 def points_structure(pattern: Pattern, q_max_per_nm: float) -> Structure:
@@ -523,7 +523,7 @@ def points_structure(pattern: Pattern, q_max_per_nm: float) -> Structure:
 
 
 def sq_structure(
-    context: RecipeContext, given: FileSpec, density_per_nm2: float, packing: float, q_max_per_nm: float
+    context: RecipeContext, spec: FileSpec, density_per_nm2: float, packing: float, q_max_per_nm: float
 ) -> Structure:
     """Read S(q): q in 1/um and S, one pair per line; g(r) is its transform outside the least distance.
 
@@ -531,10 +531,10 @@ def sq_structure(
         RecipeError: the file is unusable.
     """
     key = "monolayer.structure.sq"
-    table = recipe_curve(context, key, given, (Q_PER_UM, STRUCTURE))
+    table = recipe_curve(context, key, spec, (Q_PER_UM, STRUCTURE))
     q, s = table[:, 0] * 1e-3, table[:, 1]
     if len(q) < 4 or np.any(np.diff(q) <= 0) or q[0] < 0 or np.any(s < 0):
-        raise context.fail(key, given.file, "must hold at least 4 rows of ascending q >= 0 in 1/um and S >= 0")
+        raise context.fail(key, spec.file, "must hold at least 4 rows of ascending q >= 0 in 1/um and S >= 0")
     a = float(np.sqrt(4 * packing / (np.pi * density_per_nm2)))
     step = 0.01 / a
     grid = np.asarray(np.arange(int(max(q[-1], q_max_per_nm) / step) + 2) * step, dtype=np.float64)
@@ -656,12 +656,12 @@ def find_particles(levels: Array, width_um: float) -> Found:
     labels = np.arange(1, int(blobs.max()) + 1)
     areas = ndimage.sum_labels(inside, blobs, labels)
     cut = np.unique(np.concatenate([blobs[0], blobs[-1], blobs[:, 0], blobs[:, -1]]))
-    whole = ~np.isin(labels, cut)
-    if not np.any(whole):
+    uncut = ~np.isin(labels, cut)
+    if not np.any(uncut):
         raise NacreError("shows no particle that its border does not cut")
-    whole &= areas >= SPECK * np.median(areas[whole])
-    drawn = whole & _of_one_level(levels, np.where(ndimage.binary_erosion(inside, iterations=2), blobs, 0), whole)
-    selected = labels[whole & ~drawn]
+    uncut &= areas >= SPECK * np.median(areas[uncut])
+    drawn = uncut & _of_one_level(levels, np.where(ndimage.binary_erosion(inside, iterations=2), blobs, 0), uncut)
+    selected = labels[uncut & ~drawn]
     diameters = 2 * np.sqrt(areas[selected - 1] / np.pi)
     if np.median(diameters) < LEAST_WIDTH:
         raise NacreError(
@@ -675,27 +675,27 @@ def find_particles(levels: Array, width_um: float) -> Found:
 
 def _banner(levels: Array) -> int:
     """Return the count of banner rows at the top, each mostly one level."""
-    alike = np.array([np.unique(row, return_counts=True)[1].max() for row in levels]) / levels.shape[1]
-    ends = np.flatnonzero(alike < BANNER)
+    share = np.array([np.unique(row, return_counts=True)[1].max() for row in levels]) / levels.shape[1]
+    ends = np.flatnonzero(share < BANNER)
     count = int(ends[0]) if ends.size else 0
-    is_one = count >= LEAST_BANNER * len(levels) and float(np.median(alike[count:])) < IN_PICTURE
+    is_one = count >= LEAST_BANNER * len(levels) and float(np.median(share[count:])) < IN_PICTURE
     return count if is_one else 0
 
 
-def _of_one_level(levels: Array, cores: NDArray[np.intp], whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _of_one_level(levels: Array, cores: NDArray[np.intp], uncut: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return which blobs have one level, `[blob]`: annotations lack noise.
 
     Args:
         cores: `[row, column]`, blob numbers from 1 away from outlines, else 0.
-        whole: `[blob]`, the blobs that count.
+        uncut: `[blob]`, the blobs that count.
     """
     count, first, second = (
-        np.bincount(cores.ravel(), by, len(whole) + 1)[1:] for by in (None, levels.ravel(), levels.ravel() ** 2)
+        np.bincount(cores.ravel(), by, len(uncut) + 1)[1:] for by in (None, levels.ravel(), levels.ravel() ** 2)
     )
     there = count > 1
     size = np.maximum(count, 1)
     noise = np.where(there, np.sqrt(np.maximum(second / size - (first / size) ** 2, 0.0)), np.inf)
-    usual = noise[whole & there]
+    usual = noise[uncut & there]
     if not usual.size or np.median(usual) < LEAST_NOISE:  # the picture is a drawing
         return np.zeros_like(there)
     return np.asarray(noise < DRAWN * np.median(usual))
@@ -732,5 +732,5 @@ def _split(inside: NDArray[np.bool_]) -> NDArray[np.intp]:
         return np.asarray(together)
     nearest = ndimage.distance_transform_edt(seeds == 0, return_distances=False, return_indices=True)
     parted = np.where(inside, seeds[tuple(nearest)], 0)
-    lost = inside & ~np.isin(together, np.unique(together[seeds > 0]))  # blobs without a seed are specks
-    return np.where(lost, 0, parted)
+    unlabelled = inside & ~np.isin(together, np.unique(together[seeds > 0]))  # blobs without a seed are specks
+    return np.where(unlabelled, 0, parted)

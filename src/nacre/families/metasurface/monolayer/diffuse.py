@@ -252,7 +252,7 @@ class PairPowers:
 
 
 def pair_powers(
-    fields: ComplexArray, s_harmonics: Array, shares: Array | None = None, two_sided: bool = True, kept: int = HARMONICS
+    fields: ComplexArray, s_harmonics: Array, shares: Array | None = None, two_sided: bool = True, kmax: int = HARMONICS
 ) -> PairPowers:
     """Form the pair powers from the far-field harmonics X_m.
 
@@ -261,13 +261,13 @@ def pair_powers(
         s_harmonics: `[s, i, k]` from `structure_harmonics`; its length truncates the S integral.
         shares: `[size]`, number fractions; equal particles by default.
         two_sided: use the geometric mean with the reverse Y (reciprocal), else |X|^2.
-        kept: harmonics count.
+        kmax: their number.
     """
     sizes, orders, _, count, _, _ = fields.shape
     shares = np.ones(1) if shares is None else np.asarray(shares, dtype=float)
     samples = max(s_harmonics.shape[-1] + 4, 2 * orders + 8)
-    coherent = np.empty((count, count, 2, 2, kept))
-    varying = np.empty((count, count, 2, 2, kept) if sizes > 1 else (0, 0, 2, 2, kept))
+    coherent = np.empty((count, count, 2, 2, kmax))
+    varying = np.empty((count, count, 2, 2, kmax) if sizes > 1 else (0, 0, 2, 2, kmax))
     kernel, target = np.empty((2, count, 2, count)), np.empty((2, count, 2, count))
     mean = fields[0] if sizes == 1 else sum_over(shares, list(fields))
     by_pair, mean = (
@@ -307,24 +307,24 @@ def ladder_power(layer: Monolayer, sides: list[tuple[Illumination, Array]], coun
         kappa.append(lit[-1].directions[0].inner)
         # it falls as the cosine towards grazing, which is factored out before interpolation
         spread.append(first.cosines[:, None] * node_weights(first, index, NODES) / lit[-1].cosines)
-    met = np.concatenate([_lights([_low(b, order) for b in one.response]) for one in lit], axis=2)
+    arriving = np.concatenate([_lights([_low(b, order) for b in one.response]) for one in lit], axis=2)
     leaving = np.concatenate([_low(_leaving(layer, one), order) for one in lit], axis=-1)
     views = np.concatenate(kappa)
-    found = modes.ladder_power(met, np.concatenate([np.tile(part, 2) for part in kappa]), leaving, views, count)
+    sums = modes.ladder_power(arriving, np.concatenate([np.tile(part, 2) for part in kappa]), leaving, views, count)
     # [view, pol, light, k] -> [pol, view, pol, light's view, k]
     start, columns = 0, []
     for part in kappa:
-        columns.append(found[:, :, start : start + 2 * part.size].reshape(views.size, 2, 2, part.size, count))
+        columns.append(sums[:, :, start : start + 2 * part.size].reshape(views.size, 2, 2, part.size, count))
         start += 2 * part.size
     power = np.concatenate(columns, axis=3).transpose(0, 3, 1, 2, 4)  # s, i, pol_s, pol_i, k
     power = 0.5 * (power + power.transpose(1, 0, 3, 2, 4))  # quadrature and single precision leave a small asymmetry
-    whole = np.zeros((sum(part.shape[0] for part in spread), views.size))
+    full = np.zeros((sum(part.shape[0] for part in spread), views.size))
     row = column = 0
     for each in spread:
-        whole[row : row + each.shape[0], column : column + each.shape[1]] = each
+        full[row : row + each.shape[0], column : column + each.shape[1]] = each
         row, column = row + each.shape[0], column + each.shape[1]
-    half = np.tensordot(whole, power, 1)
-    return np.asarray(np.moveaxis(np.tensordot(whole, half, (1, 1)), 0, 1))
+    half = np.tensordot(full, power, 1)
+    return np.asarray(np.moveaxis(np.tensordot(full, half, (1, 1)), 0, 1))
 
 
 def _leaving(layer: Monolayer, lit: Illumination) -> ComplexArray:
@@ -373,7 +373,7 @@ class DiffuseTerm:
 def diffuse_term(
     layer: Monolayer,
     sides: list[tuple[Illumination, Array]],
-    kept: int,
+    harmonics: int,
     s_count: int = S_HARMONICS,
     symmetric: bool = True,
 ) -> DiffuseTerm:
@@ -382,14 +382,14 @@ def diffuse_term(
     Args:
         layer: the monolayer.
         sides: directions and weights per side; weight 0 for directions that are only evaluated.
-        kept: harmonics count.
+        harmonics: their number.
         s_count: S harmonics in the power sums.
         symmetric: False leaves `in-only` as published, not symmetric.
     """
     joined = DirectionSet.join([(lit.directions[0], w) for lit, w in sides])
     is_below = np.concatenate([np.full(w.size, lit.directions[0].below) for lit, w in sides])
     k = layer.surface.wavenumber
-    s_harmonics = structure_harmonics(joined, layer.structure, k, max(s_count, kept))
+    s_harmonics = structure_harmonics(joined, layer.structure, k, max(s_count, harmonics))
     emissions = [
         np.concatenate([lit.directions[j].emission for lit, _ in sides], axis=-1) for j in range(len(layer.particles))
     ]
@@ -402,15 +402,15 @@ def diffuse_term(
         vectors = [layer.mean_field_vectors(lit) for lit, _ in sides]
         mean_in = np.concatenate([v for v, _ in vectors], axis=-1)
         mean_out = np.concatenate([u for _, u in vectors], axis=-1)
-        met = [np.matmul(s.dressed[:, None], mean_in) for s in layer.spheres]
-        one_sided = emissions, met
+        local = [np.matmul(s.dressed[:, None], mean_in) for s in layer.spheres]
+        one_sided = emissions, local
         if layer.correction == "in-only":
-            responses = met
+            responses = local
         elif layer.correction == "in-out":
-            emissions, responses = [mean_out] * len(met), met
+            emissions, responses = [mean_out] * len(local), local
     two_sided = layer.has_mean_field or (symmetric and layer.correction == "in-only")
     # an ensemble ratio multiplies the complete series
-    series = kept if layer.ratio is None else max(kept, s_count)
+    series = harmonics if layer.ratio is None else max(harmonics, s_count)
     powers = pair_powers(layer.fields(emissions, responses), s_harmonics, layer.shares, two_sided, series)
     scale = layer.structure.density_per_nm2 / (joined.index[:, None] * joined.index)
     kernel = powers.kernel * scale[None, :, None, :]
@@ -422,21 +422,21 @@ def diffuse_term(
         # the closed form ignores g(r): its total is for independent particles
         flat = np.zeros_like(s_harmonics)
         flat[:, :, 0] = 2 * np.pi
-        alone = pair_powers(layer.fields(*one_sided), flat, layer.shares, False, 1)
-        factors = _balanced(kernel, alone.kernel * scale[None, :, None, :], weights, is_below)
+        single = pair_powers(layer.fields(*one_sided), flat, layer.shares, False, 1)
+        factors = _balanced(kernel, single.kernel * scale[None, :, None, :], weights, is_below)
     elif layer.correction == "optical-depth":
         factors = _uniform(_depth_factors(layer, sides))
     else:
         factors = _uniform(np.ones((2, joined.cosines.size)))
     if layer.correction == LADDER:
-        powers = powers.with_ladder(ladder_power(layer, sides, max(series, kept)))
+        powers = powers.with_ladder(ladder_power(layer, sides, max(series, harmonics)))
         kernel = powers.kernel * scale[None, :, None, :]
     # C of a pair: g(s) for the side of i, times g of i for the side of s
     pair = factors[:, :, is_below.astype(int)]  # [pol_s, s, i]
     both = pair[:, None] * np.swapaxes(pair, 1, 2)[None]  # pol_s, pol_i, s, i
     spread = (both * scale).transpose(2, 3, 0, 1)[..., None]
     if layer.ratio is not None:
-        return _with_ensemble_ratio(layer.ratio, joined, powers, spread, s_harmonics, weights, is_below, kept)
+        return _with_ensemble_ratio(layer.ratio, joined, powers, spread, s_harmonics, weights, is_below, harmonics)
     sent = np.einsum("s,qspi,qpsi->spi", weights, kernel, both)
     return DiffuseTerm(
         powers.coherent * spread,
@@ -467,7 +467,7 @@ def _with_ensemble_ratio(
     s_harmonics: Array,
     weights: Array,
     is_below: NDArray[np.bool_],
-    kept: int,
+    harmonics: int,
 ) -> DiffuseTerm:
     """Return the term multiplied by an ensemble ratio, and its totals."""
     ways = RatioDirections.of(joined.transverse, joined.index, is_below)
@@ -480,8 +480,8 @@ def _with_ensemble_ratio(
     kernel = np.maximum(kernel, 0.0)
     sent = np.einsum("s,qspi->spi", weights, kernel)
     return DiffuseTerm(
-        coherent[..., :kept],
-        varying[..., :kept] if varying.size else varying,
+        coherent[..., :harmonics],
+        varying[..., :harmonics] if varying.size else varying,
         sent[~is_below].sum(axis=0),
         sent[is_below].sum(axis=0),
         0.5 * np.einsum("qspi->si", kernel),
@@ -502,8 +502,8 @@ def _balanced(kernel: Array, target: Array, weights: Array, is_below: NDArray[np
     out = np.ones((2 * size, 2))
     balanced_factors(
         out,
-        lambda seen, lit: matrix[seen[:, None], lit],
-        lambda seen, lit: both[seen] @ sums[seen[:, None], lit],
+        lambda viewed, lit: matrix[viewed[:, None], lit],
+        lambda viewed, lit: both[viewed] @ sums[viewed[:, None], lit],
         both,
         above,
         below,

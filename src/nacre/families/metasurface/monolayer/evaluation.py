@@ -336,9 +336,9 @@ def interface_response(
     names = ("reflectance", "transmittance", "reflectance_inside", "total")
     r, t, inside, total = (column(results, name) for name in names)
     cosines, beyond = nodes
-    kept = None if not len(beyond) or is_uniform(beyond) else beyond
+    total_nodes = None if not len(beyond) or is_uniform(beyond) else beyond
     transmits = grids.below is not None
-    return InterfaceResponse(wavelengths_nm, cosines, r, t, inside, total, eta, transmits, total_nodes=kept)
+    return InterfaceResponse(wavelengths_nm, cosines, r, t, inside, total, eta, transmits, total_nodes=total_nodes)
 
 
 def lobe_axes(surfaces: Sequence[Substrate], structure: Structure, grids: Grids) -> tuple[Array, Array, float, Array]:

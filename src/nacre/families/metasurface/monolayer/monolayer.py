@@ -50,9 +50,9 @@ class SheetField:
     a_u: ComplexArray
     phase: ComplexArray
 
-    def reflection(self, bare: ComplexArray) -> ComplexArray:
+    def reflection(self, uncovered: ComplexArray) -> ComplexArray:
         """Return the specular amplitude for light from above, `[pol, angle]`, from the bare stack's."""
-        return bare * (1 + self.phase * self.a_d) + self.a_u / self.phase
+        return uncovered * (1 + self.phase * self.a_d) + self.a_u / self.phase
 
 
 def sheet_field(
@@ -208,8 +208,8 @@ class Monolayer:
     def modes(self) -> Modes:
         """The ladder modes."""
         order = min(LADDER_ORDER, *(s.lmax for s in self._alone))
-        alone = np.stack([spread_blocks(s.dressed, multipole_index(order)) for s in self._alone])
-        return Modes.build(self.surface, self.mean_centre_nm, self.structure, alone, self.shares)
+        dressed = np.stack([spread_blocks(s.dressed, multipole_index(order)) for s in self._alone])
+        return Modes.build(self.surface, self.mean_centre_nm, self.structure, dressed, self.shares)
 
     @cached_property
     def mean_dressed(self) -> ComplexArray:
@@ -274,8 +274,8 @@ class Monolayer:
         if not self.has_mean_field:
             return self._closed_form(cosines)
         lit = self.illuminate(cosines) if lit is None else lit
-        bare = lit.directions[0].reflection
-        r = bare + 2 * np.pi * rho / (k * cosines) * self.coherent_sum(lit.directions, lit)
+        uncovered = lit.directions[0].reflection
+        r = uncovered + 2 * np.pi * rho / (k * cosines) * self.coherent_sum(lit.directions, lit)
         if not self.transmits_below:
             return np.abs(r) ** 2, np.zeros(r.shape)
         out, cos_below, t = self.refracted(cosines)

@@ -221,16 +221,16 @@ class Modes:
 
     @classmethod
     def build(
-        cls, surface: Substrate, centre_nm: float, structure: Structure, alone: ComplexArray, shares: Array
+        cls, surface: Substrate, centre_nm: float, structure: Structure, responses: ComplexArray, shares: Array
     ) -> Modes:
         """Solve the modes.
 
         Args:
             centre_nm: mean centre height.
-            alone: M per species without neighbours, over all m, `[species, n, n']`, order `ORDER` or less.
+            responses: M per species without neighbours, over all m, `[species, n, n']`, order `ORDER` or less.
         """
         k, rho = surface.inner_wavenumber, structure.density_per_nm2
-        order = full_order(alone)
+        order = full_order(responses)
         reach = structure.diameter_nm * k
         kappa, weights = _nodes(surface, reach)
         weights = weights * k**2 / (4 * np.pi**2 * rho)
@@ -239,15 +239,15 @@ class Modes:
         q = unfolded(neighbour_sums(geometry, kappa) + plane_wave_sums(geometry, w, kappa), order)
         m = multipole_index(order).m
         one, same = np.eye(len(m)), m[:, None] == m
-        dressed: ComplexArray = alone
+        dressed: ComplexArray = responses
         back: ComplexArray = np.zeros(one.shape, dtype=complex)
         for _ in range(ROUNDS):
             mean = np.tensordot(shares, dressed, 1)
-            met = mean @ q
-            returned = q @ np.linalg.solve(one - met, met)
+            coupled = mean @ q
+            returned = q @ np.linalg.solve(one - coupled, coupled)
             # the integral over azimuths conserves m
             back = np.asarray(np.where(same, 2 * np.pi * np.tensordot(weights, returned, 1), 0.0))
-            dressed = np.asarray(np.linalg.solve(one - alone @ back, alone))
+            dressed = np.asarray(np.linalg.solve(one - responses @ back, responses))
         mean = np.tensordot(shares, dressed, 1)
         step = np.asarray(np.linalg.solve(one - mean @ q, mean @ q))
         unlike: ComplexArray = np.zeros((0, *mean.shape), dtype=complex)
@@ -257,12 +257,12 @@ class Modes:
         return cls(structure, k, kappa, weights, back, step, unlike, shares, azimuths)
 
     def ladder_power(
-        self, met: ComplexArray, kappa_i: Array, leaving: ComplexArray, kappa_s: Array, count: int
+        self, arriving: ComplexArray, kappa_i: Array, leaving: ComplexArray, kappa_s: Array, count: int
     ) -> Array:
         """Return the multiply scattered power per particle, nm^2/sr.
 
         Args:
-            met: b, the response to each incident wave, `[species, n, light]`.
+            arriving: b, the response to each incident wave, `[species, n, light]`.
             kappa_i: incident, over k.
             leaving: u D, `[pol, n, view]`.
             kappa_s: views, over k.
@@ -274,20 +274,20 @@ class Modes:
         parts = []
         for start in range(0, kappa_i.size, BATCH):
             some = slice(start, start + BATCH)
-            parts.append(self._batch(met[:, :, some], kappa_i[some], leaving, kappa_s, count))
+            parts.append(self._batch(arriving[:, :, some], kappa_i[some], leaving, kappa_s, count))
         return np.concatenate(parts, axis=2)
 
-    def _batch(self, met: ComplexArray, kappa_i: Array, leaving: ComplexArray, kappa_s: Array, count: int) -> Array:
+    def _batch(self, light: ComplexArray, kappa_i: Array, leaving: ComplexArray, kappa_s: Array, count: int) -> Array:
         m = multipole_index(full_order(self.step)).m
         phi = 2 * np.pi * np.arange(self.azimuths) / self.azimuths
         # multipole rotation to each azimuth: [azimuth, n, light, n']
         turn = np.exp(1j * np.multiply.outer(phi, m[:, None] - m)).astype(np.complex64)[:, None, :, None, :]
-        mean = np.tensordot(self.shares, met, 1).astype(np.complex64)
+        mean = np.tensordot(self.shares, light, 1).astype(np.complex64)
         pairs = np.einsum("nl,ml->nlm", mean, mean.conj())
         source = self._between(self.kappa, kappa_i)[:, :, None, :, None].astype(np.float32) * pairs
         odd = np.zeros_like(pairs)  # uncorrelated part from the random species order
         if self.unlike.size:
-            odd = (np.einsum("j,jnl,jml->nlm", self.shares, met, met.conj()) - pairs).astype(np.complex64)
+            odd = (np.einsum("j,jnl,jml->nlm", self.shares, light, light.conj()) - pairs).astype(np.complex64)
         step, weights = self.step.astype(np.complex64), (self.weights * 2 * np.pi / self.azimuths).astype(np.float32)
         shape = source.shape
         size = shape[2]
@@ -296,8 +296,8 @@ class Modes:
         all_odd = np.zeros_like(pairs)
         before = 0.0
         for time in range(TIMES):
-            seen = ((source + odd) * turn).reshape(*shape[:3], -1)
-            right = (step @ seen).reshape(shape[0], shape[1], -1, size) @ step.conj().swapaxes(1, 2)
+            emitted = ((source + odd) * turn).reshape(*shape[:3], -1)
+            right = (step @ emitted).reshape(shape[0], shape[1], -1, size) @ step.conj().swapaxes(1, 2)
             sent = right.reshape(shape) * turn.conj() * weights[:, None, None, None]
             sent = fft(sent, axis=0)
             # sum over the incident modes
@@ -313,14 +313,14 @@ class Modes:
             source = ifft(_mixed(between, sent), axis=0)
         sources = ifft(_mixed(self._series(kappa_s), total), axis=0) + all_odd
         u = np.moveaxis(leaving, 2, 0).astype(np.complex64)  # view, pol, n
-        seen = (sources * turn).reshape(len(phi), kappa_s.size, size, -1)
-        rows = (u @ seen).reshape(len(phi), kappa_s.size, 2, -1, size)
+        emitted = (sources * turn).reshape(len(phi), kappa_s.size, size, -1)
+        rows = (u @ emitted).reshape(len(phi), kappa_s.size, 2, -1, size)
         power = np.einsum("fsqlm,sqm->fsql", rows, u.conj(), optimize=True).real
         harmonics = np.moveaxis(rfft(power, axis=0).real, 0, -1) / len(phi) / self.wavenumber**2
         harmonics[..., 1:] *= 2.0
         out = np.zeros((*harmonics.shape[:-1], count))
-        kept = min(count, harmonics.shape[-1])
-        out[..., :kept] = harmonics[..., :kept]
+        used = min(count, harmonics.shape[-1])
+        out[..., :used] = harmonics[..., :used]
         return out
 
     def _odd(self, local: ComplexArray) -> ComplexArray:
@@ -397,5 +397,5 @@ def _nodes(surface: Substrate, reach: float) -> tuple[Array, Array]:
 def _denser(surface: Substrate) -> list[float]:
     """Relative indices above the particle medium at which clear-medium waves end, ascending."""
     clear = [n for n in surface.indices if abs(n.imag) < LOSSLESS_K]
-    found = {float(n.real) / surface.inner_index for n in clear}
-    return sorted(index for index in found if index > 1.0 + LEAST_STEP)
+    indices = {float(n.real) / surface.inner_index for n in clear}
+    return sorted(index for index in indices if index > 1.0 + LEAST_STEP)

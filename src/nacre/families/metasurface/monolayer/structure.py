@@ -384,9 +384,9 @@ class Ratio:
 
     def at(self, left: RatioDirections, right: RatioDirections, block: Block, phi: Array) -> Array:
         """Return r for one block, `[left, right, phi]`."""
-        found = self.coefficients[block]
+        coefficients = self.coefficients[block]
         columns = products(left, right, block, phi)
-        return np.asarray(np.clip(1.0 + np.tensordot(found.mean(axis=0), columns, 1), LEAST, MOST))
+        return np.asarray(np.clip(1.0 + np.tensordot(coefficients.mean(axis=0), columns, 1), LEAST, MOST))
 
     def applied(self, harmonics: Array, directions: RatioDirections) -> Array:
         """Return harmonics over dphi times the ratio, `[s, i, pol_s, pol_i, k]`."""
@@ -549,17 +549,17 @@ def _summed(values: Array, ascending: NDArray[np.intp], bins: int, axis: int) ->
     """Sum over the bins along an axis."""
     starts = np.searchsorted(ascending, np.arange(bins))
     filled = np.bincount(ascending, minlength=bins) > 0
-    found = np.add.reduceat(values, starts[filled], axis=axis)
-    out = np.zeros((*found.shape[:axis], bins, *found.shape[len(found.shape) + axis + 1 :]))
+    sums = np.add.reduceat(values, starts[filled], axis=axis)
+    out = np.zeros((*sums.shape[:axis], bins, *sums.shape[len(sums.shape) + axis + 1 :]))
     where = [slice(None)] * out.ndim
     where[axis] = filled  # type: ignore[call-overload]
-    out[tuple(where)] = found
+    out[tuple(where)] = sums
     return out
 
 
 def fit_ratio(patterns: list[dict[Block, Sums]]) -> tuple[Ratio, Array]:
     """Return the ratio and the relative standard error for the diffuse light above in each angle bin, `[b]`."""
-    found: dict[Block, Array] = {}
+    coefficients: dict[Block, Array] = {}
     shares: dict[Block, Array] = {}
     for block in patterns[0]:
         sums = [one[block] for one in patterns]
@@ -569,11 +569,11 @@ def fit_ratio(patterns: list[dict[Block, Sums]]) -> tuple[Ratio, Array]:
         share = shares[block] = np.clip(follows[0] / np.maximum(follows[1], 1e-300), 0.0, 2.0)
         rest = np.stack([s.rest - share @ s.controls for s in sums])
         system = normal + np.eye(len(normal)) * 2.0 * float(np.mean([s.noise for s in sums])) / PRIOR**2
-        whole = np.linalg.solve(system, rest.sum(axis=0))
+        total = np.linalg.solve(system, rest.sum(axis=0))
         # estimates from single patterns: their mean is the total estimate, their spread its error
-        left = np.stack([r - s.normal @ whole for r, s in zip(rest, sums)])
-        found[block] = whole + count * np.linalg.solve(system, (left - left.mean(axis=0)).T).T
-    ratio = Ratio(found)
+        left = np.stack([r - s.normal @ total for r, s in zip(rest, sums)])
+        coefficients[block] = total + count * np.linalg.solve(system, (left - left.mean(axis=0)).T).T
+    ratio = Ratio(coefficients)
     return ratio, _errors(ratio, patterns, shares)
 
 

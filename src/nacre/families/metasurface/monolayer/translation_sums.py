@@ -127,8 +127,8 @@ def direct_coefficients(order: int) -> ComplexArray:
     """c_p P_p^mu(0) for the direct translation in the plane, `[n, n', p, mu]`, zero except at the pair's mu."""
     top = 2 * order
     mu = pair_orders(order)
-    found = translation_coefficients(order) * special_functions.legendre(np.array(0.0), top, top)[mu]
-    return np.asarray(found[..., None] * (mu[..., None, None] == np.arange(top + 1)))
+    coefficients = translation_coefficients(order) * special_functions.legendre(np.array(0.0), top, top)[mu]
+    return np.asarray(coefficients[..., None] * (mu[..., None, None] == np.arange(top + 1)))
 
 
 @lru_cache(maxsize=8)
@@ -243,7 +243,7 @@ def reflected_sums(
     order: int,
     contour: tuple[ComplexArray, ComplexArray],
     moments: ComplexArray,
-    rows_wanted: NDArray[np.bool_] | bool = True,
+    row_numbers: NDArray[np.bool_] | bool = True,
 ) -> ComplexArray:
     """Integrate multipole pairs reflected by the stack over a contour, `[n, n', column]`.
 
@@ -253,7 +253,7 @@ def reflected_sums(
     Args:
         contour: from `stack_contour`.
         moments: `[mu, kappa, column]`.
-        rows_wanted: the n computed, `[n, 1]`.
+        row_numbers: the n computed, `[n, 1]`.
     """
     (kappa, weight), index, mu = contour, multipole_index(order), pair_orders(order)
     w = np.sqrt((1 - kappa) * (1 + kappa))
@@ -266,7 +266,7 @@ def reflected_sums(
     ]
     out = np.zeros((*mu.shape, moments.shape[-1]), dtype=complex)
     for m, moment in enumerate(moments):
-        rows, columns = np.nonzero((mu == m) & rows_wanted)
+        rows, columns = np.nonzero((mu == m) & row_numbers)
         products = sum(left[pol, rows] * right[pol, columns] for left, right in factors for pol in range(2))
         out[rows, columns] = (1j) ** m * (products @ moment)
     return out

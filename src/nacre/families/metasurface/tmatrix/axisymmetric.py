@@ -110,7 +110,7 @@ class AxialTMatrices:
         """Highest multipole order."""
         return multipole_order(self.blocks)
 
-    def at(self, wavelength_nm: float, hold_ends: bool = False, is_whole: bool = False) -> ComplexArray:
+    def at(self, wavelength_nm: float, hold_ends: bool = False, is_full: bool = False) -> ComplexArray:
         """Return T at a wavelength, `[m, n, n']`, or `[n, n']` over all m, linear between the tabulated wavelengths.
 
         Averages of passive T-matrices are passive (scattering matrices with norm <= 1 form a convex set). Interpolation
@@ -131,7 +131,7 @@ class AxialTMatrices:
         x = float(np.interp(wavelength_nm, known, np.arange(len(known))))
         start = min(int(x), len(known) - 1)
         end = min(start + 1, len(known) - 1)
-        known_t = self.whole if is_whole and self.whole is not None else self.blocks
+        known_t = self.whole if is_full and self.whole is not None else self.blocks
         return np.asarray(known_t[start] + (x - start) * (known_t[end] - known_t[start]))
 
 
@@ -198,15 +198,15 @@ class Body(abc.ABC):
     def exported_t_matrices(self, wavelengths_nm: Array) -> AxialTMatrices:
         """Return the T-matrices for export: the tabulated ones, or those at the given wavelengths."""
 
-    def check_order(self, asked: int) -> None:
+    def check_order(self, order: int) -> None:
         """Refuse a multipole order above `lmax`.
 
         Raises:
             UnsupportedError: the order is higher.
         """
-        if asked > self.lmax:
+        if order > self.lmax:
             raise UnsupportedError(
-                f"model.multipole_order = {asked} is higher than what {self.source} holds: l up to {self.lmax}"
+                f"model.multipole_order = {order} is higher than what {self.source} holds: l up to {self.lmax}"
             )
 
 
@@ -232,14 +232,6 @@ class TabulatedBody(Body):
     def is_aligned(self) -> bool:
         """Whether the full T-matrix is used and not its rotational average."""
         return self.known.whole is not None
-
-    def full_t_matrix(self, wavelength_nm: float) -> ComplexArray:
-        """Return the full T at a wavelength, `[n, n']`, for an aligned particle before its rotation.
-
-        Raises:
-            MaterialRangeError: outside the tabulated wavelengths.
-        """
-        return self.known.at(wavelength_nm, self.hold_ends, is_whole=True)
 
     @property
     def name(self) -> str:  # type: ignore[override]  # read only, as all of a frozen dataclass

@@ -117,13 +117,13 @@ def reflection_operator(
     b = plane_wave_vectors(w, lmax, mmax, sine)
     measure = -4j * weight * 2 * t_max * u
     shape = (mmax + 1, 2 * lmax, -1)
-    found = np.zeros((mmax + 1, 2 * lmax, 2 * lmax), dtype=complex)
+    operator = np.zeros((mmax + 1, 2 * lmax, 2 * lmax), dtype=complex)
     for left, right in surface.reflection_at(centre_nm, w).pairs(b):
         rows = (left * measure).transpose(0, 2, 1, 3).reshape(shape)
-        found += rows @ right.transpose(0, 2, 1, 3).reshape(shape).transpose(0, 2, 1)
+        operator += rows @ right.transpose(0, 2, 1, 3).reshape(shape).transpose(0, 2, 1)
     if nodes is None:
-        surface.operators[centre_nm] = found
-    return np.asarray(found)
+        surface.operators[centre_nm] = operator
+    return np.asarray(operator)
 
 
 def dressed_matrix(t_matrix: ComplexArray, w_blocks: ComplexArray) -> ComplexArray:

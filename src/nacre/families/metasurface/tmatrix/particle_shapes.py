@@ -598,7 +598,7 @@ def cylinder_panels(
         coat: thickness times the ambient k.
     """
     longest = min(LONGEST / max(1.0, index), LONGEST_OVER_WIDTH * min(2 * radius, height))
-    bare: list[tuple[float, ...]] = []
+    uncoated: list[tuple[float, ...]] = []
     coated: list[tuple[float, ...]] = []
     for is_top, length in ((True, radius), (False, height / 2)):
         marks = [0.0]
@@ -606,7 +606,7 @@ def cylinder_panels(
             pieces = max(1, int(np.ceil((high - low) / longest)))
             marks += [low + (high - low) * n / pieces for n in range(1, pieces + 1)]
         coat_marks = [0.0, *(m for m in marks[1:-1] if m > COAT_RESOLUTION * coat), length]
-        for rows, selected, out in ((bare, marks, 0.0), (coated, coat_marks, coat)):
+        for rows, selected, out in ((uncoated, marks, 0.0), (coated, coat_marks, coat)):
             ends = [length - m for m in selected]  # from the axis or the equator
             if is_top:
                 rows += [(0.0, low, height / 2 + out, high, height / 2 + out, 0.0) for high, low in pairwise(ends)][
@@ -617,7 +617,7 @@ def cylinder_panels(
         if is_top:
             turns = _turns(max(RIM_PIECES, int(np.ceil(coat * np.pi / 2 * max(1.0, index) / LONGEST))))
             coated += [(2.0, radius, height / 2, a, b, coat) for a, b in pairwise(turns)]
-    return np.array(bare), np.array(coated)
+    return np.array(uncoated), np.array(coated)
 
 
 def _grading(length: float, width: float, levels: int, coat: float) -> list[float]:
@@ -778,18 +778,18 @@ class SolvedBody(Body):
         key = "tmatrix-" + fingerprint({"shape": self.shape, "numbers": numbers}, {}, lmax=self.lmax, mmax=mmax)
         stored = cached_arrays(key)
         if stored and {"real", "imaginary", "error"} <= stored.keys():
-            found, error = stored["real"] + 1j * stored["imaginary"], float(stored["error"])
+            t_matrix, error = stored["real"] + 1j * stored["imaginary"], float(stored["error"])
         else:
             with single_threaded_blas():  # the matrices are small, and callers run in threads
-                found, error = self._solve(radius, height, index, mmax, coat, edge)
-            cache_arrays(key, {"real": found.real, "imaginary": found.imag, "error": np.array(error)})
+                t_matrix, error = self._solve(radius, height, index, mmax, coat, edge)
+            cache_arrays(key, {"real": t_matrix.real, "imaginary": t_matrix.imag, "error": np.array(error)})
         self.errors[wavelength_nm] = max(error, self.errors.get(wavelength_nm, 0.0))
         if error > REFUSED:
             raise UnsupportedError(
                 f"{self.source}: the T-matrix does not converge at {wavelength_nm:g} nm: two meshes differ by "
                 f"{error:.2g}, {REFUSED:g} is allowed{self._remedy}"
             )
-        return found
+        return t_matrix
 
     @property
     def _remedy(self) -> str:
@@ -834,13 +834,13 @@ class SolvedBody(Body):
         before, closer = mesh(start, 1.0, COARSE), 1.0
         for fineness in finer:
             now = mesh(fineness, closer)
-            found, error = self._compared(now, before, index, mmax, coat)
+            t_matrix, error = self._compared(now, before, index, mmax, coat)
             if error <= CONTENT:
                 break
             before = now
             # refine a coat also away from the core edge
             closer *= 1.0 if coat is None and not edge else CLOSER
-        return found, error
+        return t_matrix, error
 
     def _compared(
         self, fine: Mesh, coarse: Mesh, index: complex, mmax: int, coat: tuple[float, complex] | None
@@ -854,11 +854,11 @@ class SolvedBody(Body):
                 + ("" if coat is None else ", or its coat too thin")
             )
         outermost, core = (index, None) if coat is None else (coat[1], index)
-        found = reciprocal(block_t_matrix(fine, outermost, self.lmax, mmax, core))
+        t_matrix = reciprocal(block_t_matrix(fine, outermost, self.lmax, mmax, core))
         again = reciprocal(block_t_matrix(coarse, outermost, CHECKED_ORDER, 1, core))
         selected = np.concatenate([np.arange(CHECKED_ORDER), self.lmax + np.arange(CHECKED_ORDER)])
-        change = float(np.linalg.norm(again - found[:2, selected[:, None], selected]) / np.linalg.norm(again))
-        return found, max(change, gain(found), 1e-6)
+        change = float(np.linalg.norm(again - t_matrix[:2, selected[:, None], selected]) / np.linalg.norm(again))
+        return t_matrix, max(change, gain(t_matrix), 1e-6)
 
     def index(self, wavelength_nm: float) -> complex | None:
         """Return the particle index."""

@@ -185,8 +185,8 @@ class Substrate:
         self, indices: ComplexArray, thicknesses_nm: Array, kz: NDArray
     ) -> tuple[ComplexArray, ComplexArray]:
         """Return reflection and transmission amplitudes, `[pol, angle]`, for light from the first medium."""
-        found = solver.amplitudes(indices[:, None], thicknesses_nm, [self.wavelength_nm], kz=kz, jobs=1)
-        return np.stack([found.r_s[:, 0], found.r_p[:, 0]]), np.stack([found.t_s[:, 0], found.t_p[:, 0]])
+        waves = solver.amplitudes(indices[:, None], thicknesses_nm, [self.wavelength_nm], kz=kz, jobs=1)
+        return np.stack([waves.r_s[:, 0], waves.r_p[:, 0]]), np.stack([waves.t_s[:, 0], waves.t_p[:, 0]])
 
     def reflection_at(self, centre_nm: float, w: NDArray, lift_nm: float = 0.0) -> StackReflection:
         """Return the round-trip amplitudes at a centre for plane waves at w = kz/k.

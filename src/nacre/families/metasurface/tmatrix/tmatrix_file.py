@@ -92,9 +92,9 @@ def full_or_none(blocks: ComplexArray) -> ComplexArray | None:
         return None
     index = axisymmetric.multipole_index(count // 2)
     row, place, sign = index.m + count // 2, index.block, axisymmetric.condon_shortley_signs(index)
-    whole = blocks[:, row[:, None], row, place[:, None], place] * sign[:, None] * sign
-    even = 0.5 * (whole + axisymmetric.reversed_full(whole))
-    if np.linalg.norm(whole - even) > AXIS_TOLERANCE * np.linalg.norm(even):
+    full = blocks[:, row[:, None], row, place[:, None], place] * sign[:, None] * sign
+    even = 0.5 * (full + axisymmetric.reversed_full(full))
+    if np.linalg.norm(full - even) > AXIS_TOLERANCE * np.linalg.norm(even):
         raise TMatrixFileError("is of a particle that is not reciprocal, or in other waves than the format's")
     _check_passive(even)
     return np.asarray(even)
@@ -189,8 +189,8 @@ def _read(file: h5py.File, is_aligned: bool) -> axisymmetric.AxialTMatrices:
     epsilon = tmatrix.material_epsilon(file, len(values))
     if epsilon is not None:
         epsilon = epsilon[order]
-    whole = full_or_none(parity) if is_aligned else None
-    blocks, turn_loss = axial(parity) if whole is None else (mean_blocks(parity), 0.0)
+    full = full_or_none(parity) if is_aligned else None
+    blocks, turn_loss = axial(parity) if full is None else (mean_blocks(parity), 0.0)
     if epsilon is not None:
         _check_time_sign(parity, wavelengths[order], index[order], epsilon, shape, geometry)
     name = tmatrix.shown(hdf5.attribute(file.attrs, "name"), 60)
@@ -201,7 +201,7 @@ def _read(file: h5py.File, is_aligned: bool) -> axisymmetric.AxialTMatrices:
         name or Path(file.filename).name,
         **geometry,
         shape=shape,
-        whole=whole,
+        whole=full,
         material_index=None if epsilon is None else np.sqrt(epsilon),
         turn_loss=turn_loss,
     )
@@ -290,11 +290,11 @@ def _parity_blocks(file: h5py.File, values: ComplexArray) -> ComplexArray:
     helicity = all(w in POSITIVE + NEGATIVE for w in sides[0][2])
     places = [_places(*side, lmax, helicity) for side in sides]
     rows, columns = (place[0] for place in places)
-    kept_rows, kept_columns = (place[1] for place in places)
+    filled_rows, filled_columns = (place[1] for place in places)
     size = (2 * lmax + 1) * 2 * lmax
-    whole = np.zeros((len(values), size, size), dtype=complex)
-    whole[:, rows[:, None], columns] = values[:, kept_rows[:, None], kept_columns]
-    blocks = whole.reshape(len(values), 2 * lmax + 1, 2 * lmax, 2 * lmax + 1, 2 * lmax).transpose(0, 1, 3, 2, 4)
+    full = np.zeros((len(values), size, size), dtype=complex)
+    full[:, rows[:, None], columns] = values[:, filled_rows[:, None], filled_columns]
+    blocks = full.reshape(len(values), 2 * lmax + 1, 2 * lmax, 2 * lmax + 1, 2 * lmax).transpose(0, 1, 3, 2, 4)
     if helicity:
         turn = np.kron(np.array([[1.0, -1.0], [1.0, 1.0]]), np.eye(lmax)) / np.sqrt(2.0)  # (M, N) of (plus, minus)
         blocks = turn @ blocks @ turn.T
@@ -388,12 +388,12 @@ def write_tmatrices(
     place = tau * lmax + l - 1
     signs = np.where((m[:, None] < 0) & (tau[:, None] != tau), -1.0, 1.0)
     if known.whole is None:
-        whole = np.where(m[:, None] == m, known.blocks[:, np.abs(m)[:, None], place[:, None], place] * signs, 0.0)
+        full = np.where(m[:, None] == m, known.blocks[:, np.abs(m)[:, None], place[:, None], place] * signs, 0.0)
     else:
         index = axisymmetric.multipole_index(lmax)
-        ours = np.lexsort((1 - index.tau, index.m, index.l))  # sorted by l, then m, electric before magnetic
-        sign = axisymmetric.condon_shortley_signs(index)[ours]
-        whole = known.whole[:, ours[:, None], ours] * sign[:, None] * sign
+        file_order = np.lexsort((1 - index.tau, index.m, index.l))  # sorted by l, then m, electric before magnetic
+        sign = axisymmetric.condon_shortley_signs(index)[file_order]
+        full = known.whole[:, file_order[:, None], file_order] * sign[:, None] * sign
     with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs.update(
             {
@@ -403,7 +403,7 @@ def write_tmatrices(
                 "keywords": "passive, reciprocal" if known.whole is not None else "czinfinity, passive, reciprocal",
             }
         )
-        file.create_dataset("tmatrix", data=whole, compression="gzip")
+        file.create_dataset("tmatrix", data=full, compression="gzip")
         file["vacuum_wavelength"] = known.wavelengths_nm
         file["vacuum_wavelength"].attrs["unit"] = "nm"
         file["modes/l"], file["modes/m"] = l, m
