@@ -115,14 +115,14 @@ def test_a_recipe_takes_a_picture_as_it_takes_its_points(tmp_path):
 def test_sixteen_bits_are_read(tmp_path):
     levels = drawn(np.array([[500.0, 500.0], [1500.0, 900.0]]), 100.0, (2000, 2000))
     Image.fromarray(np.round(65535 * levels).astype(np.uint16)).save(tmp_path / "sem.tif")
-    assert len(find_particles(grey_levels(tmp_path / "sem.tif"), 2.0).xy_um) == 2
+    assert len(find_particles(grey_levels(tmp_path / "sem.tif", "sem.tif"), 2.0).xy_um) == 2
 
 
 REFUSED = {
     "no width": ({"points": "sem.png"}, "not how wide it is; give width_um"),
     "a list with a width": ({"points": "xy.csv", "width_um": 5}, "gives width_um, which is of a picture"),
     "missing": ({"points": "none.png", "width_um": 5}, "none.png"),
-    "no picture": ({"points": "text.png", "width_um": 5}, "is not a picture that can be read"),
+    "no picture": ({"points": "text.png", "width_um": 5}, "is not a readable image"),
     "empty": ({"points": "grey.png", "width_um": 5}, "is of one grey level"),
     "noise": ({"points": "noise.png", "width_um": 5}, "has no two levels"),
     "few": ({"points": "sem.png", "width_um": 2}, "which is what is taken; at least 50 are needed"),

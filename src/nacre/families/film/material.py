@@ -85,6 +85,12 @@ class FilmLayer:
     helix: Helix | None = None
     path: str = ""
 
+    @property
+    def range_nm(self) -> tuple[float, float]:
+        """The least and the largest thickness over the surface."""
+        d = self.thickness_nm
+        return (d.low, d.high) if isinstance(d, Texture) else (d, d)
+
     def thickness_at(self, uv: Array = MIDDLE) -> float:
         """Return the thickness at one uv."""
         return float(self.thickness_nm(uv)) if isinstance(self.thickness_nm, Texture) else self.thickness_nm
@@ -210,8 +216,7 @@ class Film(Polarised):
         constants = {key: (real_extremes(m, lam)[1], real_extremes(m, ends)[0]) for key, m in materials.items()}
         for layer in self.layers:
             extinction, refraction = constants[id(layer.material)]
-            thickest = layer.thickness_nm.high if isinstance(layer.thickness_nm, Texture) else layer.thickness_nm
-            thinnest = layer.thickness_nm.low if isinstance(layer.thickness_nm, Texture) else layer.thickness_nm
+            thinnest, thickest = layer.range_nm
             # round-trip amplitude loss per nm
             loss = 4.0 * np.pi * extinction / lam
             n = 0.0 if layer.incoherent else float(np.max(refraction))
@@ -230,20 +235,10 @@ class Film(Polarised):
 
     def _test_spectra(self, wavelengths_nm: Array) -> Array:
         """Return the reflectance `[case, wavelength]` at the angles and thicknesses of the grid test."""
-        spectra = []
         tables = self.tables(wavelengths_nm)
-        varies = any(isinstance(layer.thickness_nm, Texture) for layer in self.layers)
-        for share in (0.5, 1.0) if varies else (0.5,):
-            d = np.array(
-                [
-                    layer.thickness_nm.low + share * (layer.thickness_nm.high - layer.thickness_nm.low)
-                    if isinstance(layer.thickness_nm, Texture)
-                    else layer.thickness_nm
-                    for layer in self.layers
-                ]
-            )
-            spectra.append(tables.outside(d, COLOUR_COSINES)[0])
-        return np.concatenate(spectra)
+        low, high = np.array([layer.range_nm for layer in self.layers]).reshape(-1, 2).T
+        shares = (0.5, 1.0) if np.any(high > low) else (0.5,)
+        return np.concatenate([tables.outside(low + share * (high - low), COLOUR_COSINES)[0] for share in shares])
 
     def tables(self, wavelengths_nm: Array) -> StackTables:
         """Return the solver of the film's stack on a wavelength grid.
@@ -339,7 +334,7 @@ class Film(Polarised):
             def spectra(values: Array, i: int = i) -> Array:
                 return tables.outside(_with_column(d, i, values), COLOUR_COSINES)[0]
 
-            values, error = choose_nodes(spectra, *self._range(i), tables.wavelengths_nm)
+            values, error = choose_nodes(spectra, *self.layers[i].range_nm, tables.wavelengths_nm)
             texture = self.layers[i].thickness_nm
             assert isinstance(texture, Texture)
             name = f"{self.layers[i].path or f'layers[{i}]'}.thickness_nm"
@@ -356,19 +351,13 @@ class Film(Polarised):
     @property
     def _varying(self) -> list[int]:
         """Layers whose thickness varies over the surface."""
-        textured = [i for i, layer in enumerate(self.layers) if isinstance(layer.thickness_nm, Texture)]
-        return [i for i in textured if self._range(i)[1] > self._range(i)[0]]
+        return [i for i, layer in enumerate(self.layers) if layer.range_nm[1] > layer.range_nm[0]]
 
     @property
     def _middle_nm(self) -> Array:
         """Thicknesses `[layer]` at the centre of their ranges."""
         values = [layer.thickness_nm for layer in self.layers]
         return np.array([d.middle if isinstance(d, Texture) else d for d in values], dtype=float)
-
-    def _range(self, i: int) -> tuple[float, float]:
-        texture = self.layers[i].thickness_nm
-        assert isinstance(texture, Texture)
-        return texture.low, texture.high
 
     def _surface_lobe(self, response: InterfaceResponse) -> Lobe:
         if self.surface.is_smooth:

@@ -322,12 +322,8 @@ class ModelTable:
         columns, right = self._weights(light)
         table = (self.varying if is_varying else self.harmonics)[rows, columns, pol, p]
         at = np.einsum("va,abk,lb->vlk", left, table, right, optimize=True)
-        cosine = np.cos(phi)
-        # Clenshaw summation
-        above, beyond = np.zeros_like(phi), np.zeros_like(phi)
-        for n in range(HARMONICS - 1, 0, -1):
-            above, beyond = at[..., n] + 2 * cosine * above - beyond, above
-        return np.asarray(np.maximum(at[..., 0] + cosine * above - beyond, 0.0))
+        series = np.polynomial.chebyshev.chebval(np.cos(phi), np.moveaxis(at, -1, 0), tensor=False)
+        return np.asarray(np.maximum(series, 0.0))
 
     def level(self, view: Side, light: Side, pol: int, p: int) -> Array:
         """Return the mean square over the pairs with either direction, `[view, light]`."""

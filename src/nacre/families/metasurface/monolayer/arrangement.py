@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0
 
+from nacre.bsdf.texture import opened_image
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError
-from nacre.core.files import plain, why_unreadable
+from nacre.core.errors import NacreError, RecipeError
+from nacre.core.files import size_of
 from nacre.core.jit import compiled
 from nacre.core.machine import check_memory
 from nacre.families.metasurface.monolayer.structure import RANGE_IN_DIAMETERS, Structure
@@ -240,7 +241,7 @@ def lattice(count: int, density_per_nm2: float, kind: str = "hexagonal", jitter:
     columns = max(2, round(np.sqrt(count)))
     rows = columns
     if kind == "hexagonal":
-        rows = max(2, 2 * round(columns / np.sqrt(3) * 2 / 2 * 1.0))
+        rows = max(2, 2 * round(columns / np.sqrt(3)))
         columns = max(2, round(rows * np.sqrt(3) / 2))
     box = float(np.sqrt(rows * columns / density_per_nm2))
     y, x = np.divmod(np.arange(rows * columns), columns)
@@ -501,15 +502,12 @@ def _points_in_picture(context: RecipeContext, name: str, width_um: float) -> Ar
     Raises:
         RecipeError: no particles, or unreadable.
     """
-    path = context.path(name)
+    key = "monolayer.structure.points"
+    levels = grey_levels(context.path(name), f'{context.source}: {key} = "{name}"')
     try:
-        if plain(path).stat().st_size > MAX_FILE_BYTES:
-            raise NacreError(f"is larger than {MAX_FILE_BYTES >> 20} MB")
-        blobs = find_particles(grey_levels(path), width_um)
-    except OSError as error:
-        raise context.fail("monolayer.structure.points", name, why_unreadable(error)) from None
+        blobs = find_particles(levels, width_um)
     except NacreError as error:
-        raise context.fail("monolayer.structure.points", name, str(error)) from None
+        raise context.fail(key, name, str(error)) from None
     logger.log(logging.WARNING if blobs.left_out else logging.INFO, "%s: %s: %s", context.source, name, blobs.summary)
     side = min(blobs.size_um)
     away = np.abs(blobs.xy_um - np.array(blobs.size_um) / 2).max(axis=1)
@@ -601,30 +599,18 @@ def is_picture(name: str) -> bool:
     return Path(name).suffix.lower() in SUFFIXES
 
 
-def grey_levels(path: str | Path) -> Array:
+def grey_levels(path: Path, where: str) -> Array:
     """Return picture grey levels, `[row, column]`, 0 to 1.
 
     Raises:
-        NacreError: unreadable or too large; the message ends a sentence that begins with the file.
+        NacreError: unreadable, too large, or of one level; the message begins with `where`.
     """
-    from PIL import Image
-
-    try:
-        with Image.open(path) as image:
-            if image.width * image.height > MOST_PIXELS:
-                raise NacreError(f"has {image.width} x {image.height} pixels; at most {MOST_PIXELS:g} are read")
-            levels = np.asarray(image if image.mode in ("I", "F", "I;16") else image.convert("L"), dtype=float)
-    except NacreError:
-        raise
-    except OSError as error:
-        raise NacreError(
-            why_unreadable(error) if error.errno is not None else "is not a picture that can be read"
-        ) from None
-    except (ValueError, SyntaxError, Image.DecompressionBombError):
-        raise NacreError("is not a picture that can be read") from None
+    size_of(path, where, MAX_FILE_BYTES)
+    with opened_image(path, where, MOST_PIXELS) as image:
+        levels = np.asarray(image if image.mode in ("I", "F", "I;16") else image.convert("L"), dtype=float)
     low, high = float(levels.min()), float(levels.max())
     if not np.isfinite(high - low) or high <= low:
-        raise NacreError("is of one grey level: it shows nothing")
+        raise RecipeError(f"{where} is of one grey level: it shows nothing")
     return (levels - low) / (high - low)
 
 

@@ -261,7 +261,7 @@ def pair_powers(
         s_harmonics: `[s, i, k]` from `structure_harmonics`; its length truncates the S integral.
         shares: `[size]`, number fractions; equal particles by default.
         two_sided: use the geometric mean with the reverse Y (reciprocal), else |X|^2.
-        kmax: their number.
+        kmax: number of harmonics.
     """
     sizes, orders, _, count, _, _ = fields.shape
     shares = np.ones(1) if shares is None else np.asarray(shares, dtype=float)
