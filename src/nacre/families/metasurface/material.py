@@ -10,10 +10,9 @@ import dataclasses
 import logging
 import tomllib
 import warnings
-from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from importlib.resources import files
 from typing import Any
 
@@ -412,14 +411,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         if self.chosen_correction[0] != ENSEMBLE:
             return self.monolayer, None
         grid = np.sort(np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)))
-        cache, key = self._ensembles, grid.tobytes()
-        if key in cache:
-            cache.move_to_end(key)
-        else:
-            cache[key] = self._refinement(grid)
-            while len(cache) > MAX_CACHED_GRIDS:
-                cache.popitem(last=False)
-        refinement = cache[key]
+        refinement = self._refinements(tuple(grid.tolist()))
 
         def layer(wavelength_nm: float) -> Monolayer:
             return dataclasses.replace(self.monolayer(wavelength_nm), ratio=refinement.at(wavelength_nm))
@@ -427,9 +419,9 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         return layer, refinement
 
     @cached_property
-    def _ensembles(self) -> OrderedDict[bytes, EnsembleInterpolation]:
-        """Least recently used ensemble cache by wavelength grid."""
-        return OrderedDict()
+    def _refinements(self) -> Callable[[tuple[float, ...]], EnsembleInterpolation]:
+        """The ensembles by wavelength grid, for the grids used last."""
+        return lru_cache(maxsize=MAX_CACHED_GRIDS)(lambda grid: self._refinement(np.array(grid)))
 
     def _refinement(self, wavelengths_nm: Array) -> EnsembleInterpolation:
         if self.arrangement is None:
