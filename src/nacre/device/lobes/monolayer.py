@@ -136,7 +136,7 @@ class MonolayerPlugin(plugin.LobePlugin[AnyMonolayer]):
         """Return the lobe at about a dozen wavelengths, enough for sampling."""
         step = max(1, len(lobe.wavelengths_nm) // 12)
         names = (*self.tables, "wavelengths_nm", "wavenumbers", "index_below")
-        thinned = {name: np.ascontiguousarray(getattr(lobe, name)[..., ::step]) for name in names}
+        thinned: dict[str, Any] = {name: np.ascontiguousarray(getattr(lobe, name)[..., ::step]) for name in names}
         return dataclasses.replace(lobe, **thinned)
 
     @abc.abstractmethod

@@ -31,11 +31,11 @@ import numpy as np
 
 from nacre.bsdf.lobes.platelet_layer import reflected
 from nacre.bsdf.random_walk import roulette, sample_quantile
-from nacre.core.arrays import Array, ComplexArray, gauss_legendre
+from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.jit import compiled
 from nacre.core.machine import in_threads
-from nacre.families.glass.medium import GAUSS_NODES, PHASE_NODES, Medium, Spheres, solve_medium
+from nacre.families.glass.medium import GAUSS_NODES, PHASE_NODES, Medium, Spheres, gauss_rule, solve_medium
 from nacre.matter.indices.constant import OpticalConstant
 
 INDEX_NM = 550.0  # random walks refract all wavelengths with the index at this one
@@ -425,7 +425,7 @@ class Balls:
         table = _at_cosines(light.density, nodes)
         step = nodes[1] - nodes[0]
         total = 2 * np.pi * step * (table.sum(axis=1) - 0.5 * (table[:, 0] + table[:, -1]))
-        cosines, weights = gauss_legendre(GAUSS_NODES)
+        cosines, weights = gauss_rule(GAUSS_NODES)
         # any phase function for balls without scattering
         scatters = (total > 0)[:, None]
         phase = np.where(scatters, table / np.where(scatters, total[:, None], 1.0), 0.25 / np.pi)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from nacre.core.arrays import Array, ComplexArray, gauss_legendre
 from nacre.matter.mie import default_order, mie_amplitudes, mie_coefficients
 
 GAUSS_NODES = 128  # quadrature nodes over the scattering cosine
+gauss_rule = lru_cache(maxsize=1)(np.polynomial.legendre.leggauss)  # `gauss_legendre` rounds so long a rule otherwise
 PHASE_NODES = 361  # nodes of the tabulated phase function, uniform in the cosine
 QUANTILE_NODES = 513
 SIZES = 21  # quadrature nodes over a Schulz size distribution
@@ -132,7 +134,7 @@ def solve_medium(spheres: Spheres, moments: int = 48) -> Medium:
         spheres: in their effective medium.
         moments: number of Legendre moments.
     """
-    cosines, weights = gauss_legendre(GAUSS_NODES)
+    cosines, weights = gauss_rule(GAUSS_NODES)
     nodes = np.linspace(-1.0, 1.0, PHASE_NODES)
     light = spheres.cross_section(np.concatenate([cosines, nodes]))
     gauss, table = light[:, :GAUSS_NODES], light[:, GAUSS_NODES:]

@@ -72,12 +72,12 @@ def _edges(stack: PeriodicStack) -> list[Sectors]:
         return []
     flat = np.full(len(layers[0][0]), 0.5 * np.pi)
     cover, substrate = ((np.full(len(flat), value), np.full(len(flat), value), flat) for value in outside)
-    every, joined = [cover, *layers, substrate], []
+    every, merged = [cover, *layers, substrate], []
     for above, below in zip(every, every[1:], strict=False):
         for (a, b, up), (c, d, down) in zip(zip(*above, strict=True), zip(*below, strict=True), strict=True):
             edge = ((complex(b), up), (complex(a), np.pi - up), (complex(c), down), (complex(d), np.pi - down))
-            joined.append(_joined(edge))
-    return [edge for edge in joined if edge]
+            merged.append(_joined(edge))
+    return [edge for edge in merged if edge]
 
 
 def _layers(stack: PeriodicStack) -> list[Layer]:
