@@ -13,7 +13,7 @@ import numpy as np
 from nacre.core.errors import NacreError
 from nacre.readers.headings import DIMENSIONS, SPECTRAL_QUANTITIES, Meaning, meanings, mentions, polarisation_word
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions, contradiction
-from nacre.readers.text_table import TableFile, TextTable, parse_tables, read_tables
+from nacre.readers.text_table import TableFile, TextTable, load_text, parse_tables
 from nacre.readers.units import UNITS, Floats, in_range, likely_unit, normal, parse_unit, spectral_units, to_nm
 
 TEXT_QUANTITIES = ("name", "hex", "polarisation")
@@ -23,7 +23,7 @@ MAX_FACTOR = 2.0  # a larger number without a unit is not a factor
 
 
 def knows(heading: str, unit: str) -> bool:
-    """Whether the vocabulary has a heading; see `text_table.read_tables`."""
+    """Whether the vocabulary has a heading; see `text_table.parse_tables`."""
     return bool(meanings(heading, unit))
 
 
@@ -31,21 +31,18 @@ def load_tables(path: Path) -> TableFile:
     """Read the tables of a text file with the vocabulary of `headings`.
 
     Raises:
-        NacreError: not readable, or without a table of numbers.
+        NacreError: not readable, binary, rows of different width, or without a table of numbers.
     """
-    return _not_empty(path, read_tables(path, knows))
+    return tables_of(load_text(path), path)
 
 
 def tables_of(text: str, path: Path) -> TableFile:
-    """Read a text's tables."""
-    return _not_empty(path, parse_tables(text, path, knows))
-
-
-def _not_empty(path: Path, found: TableFile) -> TableFile:
-    if not found.tables:
-        said = f"; its last line is {found.trailing[-1]!r:.60}" if found.trailing else ""
-        raise NacreError(f"{path}: holds no rows of numbers{said}")
-    return found
+    """Read a text's tables; see `load_tables`."""
+    file = parse_tables(text, path, knows)
+    if not file.tables:
+        last_line = f"; its last line is {file.trailing[-1]!r:.60}" if file.trailing else ""
+        raise NacreError(f"{path}: holds no rows of numbers{last_line}")
+    return file
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +96,9 @@ class Columns:
         """The file."""
         return self.table.path
 
-    def all(self, *quantities: str, errors: bool = False) -> list[Column]:
-        """Return the columns of some quantities, or of their standard errors."""
-        return [c for c in self.found if c.meaning.quantity in quantities and c.meaning.is_error == errors]
+    def all(self, *quantities: str) -> list[Column]:
+        """Return the columns of some quantities, without their standard errors."""
+        return [c for c in self.found if c.meaning.quantity in quantities and not c.meaning.is_error]
 
     def one(self, *quantities: str) -> Column | None:
         """Return the only column of some quantities, or None.
@@ -170,23 +167,22 @@ def _in_nm(columns: Columns, column: Column, options: ReadOptions) -> Floats:
         raise NacreError(
             f'{columns.path}: unit = "{options.unit}" is not known; allowed: nm, um, angstrom, eV, 1/cm, THz'
         )
-    if float(finite.min()) <= 0.0:
-        bad = float(finite.min())
-        raise NacreError(f"{columns.path}: {column.heading} = {bad:g} should be positive")
+    least, most = float(finite.min()), float(finite.max())
+    if least <= 0.0:
+        raise NacreError(f"{columns.path}: {column.heading} = {least:g} should be positive")
     if given is not None and _may_have(column, given):
         return to_nm(values, given)
     if not unit:
         readings = spectral_units(finite, None if quantity == "spectral" else quantity)
         if len(readings) != 1:
-            ends = f"{float(finite.min()):.6g} to {float(finite.max()):.6g}"
             what = "the first column" if quantity == "spectral" else f'"{column.heading}"'
-            said = f"{what} of {ends} has no unit"
+            problem = f"{columns.path}: {what} of {least:.6g} to {most:.6g} has no unit"
             if not readings:
                 raise AmbiguousFileError(
-                    f'{columns.path}: {said} and is not a usual wavelength; state unit = "nm", "um" or "eV"', "unit"
+                    f'{problem} and is not a usual wavelength; state unit = "nm", "um" or "eV"', "unit"
                 )
             raise AmbiguousFileError(
-                f"{columns.path}: {said}: it may be {in_range(finite, readings)}; write the unit in its heading or "
+                f"{problem}: it may be {in_range(finite, readings)}; write the unit in its heading or "
                 f"state unit = {' or '.join(f'{chr(34)}{u}{chr(34)}' for u in readings)}",
                 "unit",
                 readings,
@@ -197,11 +193,10 @@ def _in_nm(columns: Columns, column: Column, options: ReadOptions) -> Floats:
         )
     likely = likely_unit(finite, unit) if given is None else None
     if likely is not None:
-        nm = np.sort(to_nm(np.array([float(finite.min()), float(finite.max())]), unit))
+        nm = np.sort(to_nm(np.array([least, most]), unit))
         raise AmbiguousFileError(
-            f'{columns.path}: "{column.heading}" holds {float(finite.min()):.6g} to {float(finite.max()):.6g} {unit} '
-            f"({nm[0]:.4g} to {nm[1]:.4g} nm), which are not optical wavelengths; the unit is probably {likely}; "
-            f"correct the heading or state unit",
+            f'{columns.path}: "{column.heading}" holds {least:.6g} to {most:.6g} {unit} ({nm[0]:.4g} to {nm[1]:.4g} '
+            f"nm), which are not optical wavelengths; the unit is probably {likely}; correct the heading or state unit",
             "unit",
             (likely, unit) if likely in UNITS else (unit,),
         )
@@ -211,13 +206,9 @@ def _in_nm(columns: Columns, column: Column, options: ReadOptions) -> Floats:
 def _may_have(column: Column, unit: str) -> bool:
     """Whether a spectral column states this unit, or none, or an implausible one."""
     quantity, values = column.meaning.quantity, column.values[np.isfinite(column.values)]
-    if quantity != "spectral" and UNITS[unit][0] != _dimension(quantity):
+    if quantity != "spectral" and UNITS[unit][0] != ("length" if quantity == "wavelength" else quantity):
         return False
     return column.unit in ("", unit) or likely_unit(values, column.unit) is not None
-
-
-def _dimension(quantity: str) -> str:
-    return "length" if quantity == "wavelength" else quantity
 
 
 def interpret(
@@ -259,14 +250,12 @@ def interpret(
         found_meanings = (Meaning("spectral", unit),) if name == "spectral" else meanings(name, unit)
         if not found_meanings and options.assumed_quantity is not None and parse_unit(name) == "%":
             found_meanings = (Meaning(options.assumed_quantity, "%"),)
-        if found_meanings == (Meaning("", found_meanings[0].unit, is_error=True),) if found_meanings else False:
-            found_meanings = (
-                (replace(before, is_error=True, unit=found_meanings[0].unit or before.unit),)
-                if before is not None
-                else ()
-            )
+        if found_meanings and found_meanings == (Meaning("", found_meanings[0].unit, is_error=True),):
+            unit = found_meanings[0].unit
+            found_meanings = () if before is None else (replace(before, is_error=True, unit=unit or before.unit),)
         if not found_meanings:
-            if _is_row_number(table, i, name):
+            # data frames and ImageJ count rows in a first column without a heading
+            if not name.strip() and i == 0 and all(cell.strip().isdigit() for cell in table.column_text(i)):
                 result.unused.append(headings[i] or "row number")
             else:
                 unknown.append(headings[i] or f"column {i + 1}")
@@ -356,19 +345,14 @@ def _without_headings(
 
 
 def _ignored(table: TextTable, headings: list[str], options: ReadOptions) -> tuple[list[str], list[bool]]:
-    wanted = {normal(word).strip('" ').lower() for word in options.ignore}
     plain = [normal(heading).strip('" ').lower() for heading in headings]
-    missing = [word for word in options.ignore if normal(word).strip('" ').lower() not in plain]
+    ignored = [normal(word).strip('" ').lower() for word in options.ignore]
+    missing = [word for word, key in zip(options.ignore, ignored) if key not in plain]
     if missing:
         raise NacreError(
             f'{table.path}: ignore: column "{missing[0]}" is missing; the columns are {table.shown_headings}'
         )
-    return [h for h, p in zip(headings, plain) if p in wanted], [p in wanted for p in plain]
-
-
-def _is_row_number(table: TextTable, index: int, name: str) -> bool:
-    """Whether a first column without a heading holds whole numbers, as data frames and ImageJ count rows."""
-    return not name.strip() and index == 0 and all(cell.strip().isdigit() for cell in table.column_text(index))
+    return [h for h, p in zip(headings, plain) if p in ignored], [p in ignored for p in plain]
 
 
 def _unknown_error(table: TextTable, unknown: list[str], is_all: bool) -> NacreError:
@@ -389,16 +373,14 @@ def _unknown_error(table: TextTable, unknown: list[str], is_all: bool) -> NacreE
 
 
 def _check_twice(result: Columns) -> None:
-    seen: dict[Meaning, Column] = {}
+    first: dict[Meaning, Column] = {}
     for column in result.found:
-        key = replace(column.meaning, unit="")
-        other = seen.get(key)
-        if other is not None:
+        other = first.setdefault(replace(column.meaning, unit=""), column)
+        if other is not column:
             raise NacreError(
                 f'{result.path}: "{other.heading}" and "{column.heading}" hold the same quantity; columns = [...] '
                 'names all, "-" ignores one'
             )
-        seen[key] = column
 
 
 def polarisations(columns: Columns) -> list[str] | None:
@@ -452,7 +434,8 @@ def sorted_by_wavelength(path: Path, nm: Floats, values: Mapping[str, Floats]) -
     columns = {name: column[order] for name, column in values.items()}
     same = np.flatnonzero(np.diff(nm) == 0.0)
     for name, column in columns.items():
-        differs = same[~_equal(column[same], column[same + 1])]
+        one, next_one = column[same], column[same + 1]
+        differs = same[~((one == next_one) | (np.isnan(one) & np.isnan(next_one)))]
         if differs.size:
             i = int(differs[0])
             raise NacreError(
@@ -462,7 +445,3 @@ def sorted_by_wavelength(path: Path, nm: Floats, values: Mapping[str, Floats]) -
     keep = np.ones(len(nm), dtype=bool)
     keep[same + 1] = False
     return nm[keep], {name: column[keep] for name, column in columns.items()}
-
-
-def _equal(first: Floats, second: Floats) -> np.ndarray:
-    return (first == second) | (np.isnan(first) & np.isnan(second))

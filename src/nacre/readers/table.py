@@ -146,21 +146,21 @@ def kind_of(table: TextTable, options: ReadOptions) -> Kind:
         {m.quantity for m in meanings(name, table.units[i] if i < table.width else "")} for i, name in enumerate(names)
     ]
     scores: dict[Kind, int] = {
-        kind: sum(bool(found & set(quantities) - set(SPECTRAL_QUANTITIES)) for found in each)
+        kind: sum(bool(named & set(quantities) - set(SPECTRAL_QUANTITIES)) for named in each)
         for kind, quantities in OF_KIND.items()
     }
-    if options.expects in scores and scores[options.expects] == max(scores.values()) > 0:
-        return options.expects
     best = max(scores, key=lambda kind: scores[kind])
-    if scores[best] == 0 and options.assumed_quantity is not None and options.expects is not None:
+    if options.expects in scores and scores[options.expects] == scores[best] > 0:
         return options.expects
-    if scores[best] == 0:
-        unknown = [name for name, found in zip(names, each) if not found]
-        said = f'; "{unknown[0]}" is not known' if unknown else ""
-        raise AmbiguousFileError(
-            f"{table.path}: the columns are {table.shown_headings}{said}; name them: columns = [...]", "columns"
-        )
-    return best
+    if scores[best] > 0:
+        return best
+    if options.assumed_quantity is not None and options.expects is not None:
+        return options.expects
+    unknown = [f'; "{name}" is not known' for name, quantities in zip(names, each) if not quantities]
+    raise AmbiguousFileError(
+        f"{table.path}: the columns are {table.shown_headings}{''.join(unknown[:1])}; name them: columns = [...]",
+        "columns",
+    )
 
 
 def _is_name(heading: str) -> bool:
@@ -351,9 +351,8 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
             steps = np.diff(nm[np.isfinite(nm)])
             if np.any(steps > 0.0) and np.any(steps < 0.0):
                 raise NacreError(f"{table.path}: the wavelengths are not ascending or descending; sort the rows")
-            nm_sorted, rest = sorted_by_wavelength(
-                table.path, nm, {k: v for k, v in data.items() if k != "wavelength_nm"}
-            )
+            del data["wavelength_nm"]
+            nm_sorted, rest = sorted_by_wavelength(table.path, nm, data)
             data = {"wavelength_nm": nm_sorted, **rest}
         name = members[0].heading if len(groups) > 1 else ""
         found.append(
@@ -391,7 +390,7 @@ def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
         if above.angle_deg is not None and options.angle_deg is None:
             found["angle_of_incidence_deg"] = np.full(len(nm), above.angle_deg)
             columns.assumed.append(f"angle of incidence from {' and '.join(map(repr, above.lines))}")
-    elif None not in groups:
+    else:
         found["angle_of_incidence_deg"] = np.repeat(np.array(list(groups), dtype=float), len(nm))
     return ellipsometry(columns.path, found, options, assumed=columns.assumed, left_out=_left_out(columns))
 

@@ -3,6 +3,7 @@
 `read_tables` returns the cells as text and numbers, with the lines above them; `headings` interprets these.
 """
 
+import contextlib
 import csv
 import math
 import re
@@ -39,6 +40,7 @@ _WITH_UNIT = re.compile(r"([-+]?[\d.,]+(?:[eEdD][-+]?\d+)?)\s*(%|°|deg|nm|um|µ
 _HEX = re.compile(r"#(?:[0-9a-fA-F]{6}|[0-9a-fA-F]{3}|[0-9a-fA-F]{8})")
 LINE_END = re.compile(r"\r\n|\r|\n")
 _QUOTED_OR_WORD = re.compile(r'"[^"]*"|\S+')
+_MARK = re.compile(r"[>\[<=+*_~-]{3,}|\[?(begin|data|xydata|start|spectral data)\b")
 
 
 def decode(data: bytes) -> str:
@@ -72,25 +74,12 @@ def decode(data: bytes) -> str:
 _JAPANESE = re.compile("波長|波数|反射|透過|屈折|消衰|吸光|角度|入射|偏光|高さ|膜厚|測定|単位")
 
 
-def is_japanese(data: bytes) -> bool:
-    """Whether bytes other than UTF-8 are Shift-JIS text with words of measurements."""
-    try:
-        return bool(_JAPANESE.search(data.decode("cp932")[:20_000]))
-    except UnicodeDecodeError:
-        return False
-
-
 def _decode_bytes(data: bytes) -> str:
-    try:
-        return data.decode("utf-8")
-    except UnicodeDecodeError:
-        if is_japanese(data):
-            return data.decode("cp932")
-    for encoding in ("cp1252", "cp932"):
-        try:
-            return data.decode(encoding)
-        except UnicodeDecodeError:
-            continue
+    for encoding, needed in (("utf-8", None), ("cp932", _JAPANESE), ("cp1252", None), ("cp932", None)):
+        with contextlib.suppress(UnicodeDecodeError):
+            text = data.decode(encoding)
+            if needed is None or needed.search(text[:20_000]):
+                return text
     return data.decode("latin-1")
 
 
@@ -277,27 +266,21 @@ class TableFile:
     left_out: tuple[str, ...] = ()
 
 
-def read_tables(path: Path, knows: Callable[[str, str], bool], limit: int = MAX_BYTES) -> TableFile:
-    """Read the tables of a text file.
+def parse_tables(text: str, path: Path, knows: Callable[[str, str], bool]) -> TableFile:
+    """Find the tables in a text.
 
     Args:
-        path: the file.
+        text: the file's text.
+        path: the file, for messages.
         knows: whether a heading with a unit of the row below ("" without) is in the vocabulary; decides whether a
             line above the numbers is a line of headings or a title.
-        limit: largest size in bytes.
 
     Raises:
-        NacreError: not readable, binary, or rows of different width.
+        NacreError: rows of different width.
     """
-    return parse_tables(load_text(path, limit), path, knows)
-
-
-def parse_tables(text: str, path: Path, knows: Callable[[str, str], bool]) -> TableFile:
-    """Find the tables in a text; see `read_tables`."""
     raw = [line.replace("\f", " ").replace("\v", " ") for line in LINE_END.split(text)]
     delimiter = find_delimiter(raw)
     lines = _classified(raw, delimiter, knows)
-    tables = []
     above: list[_Line] = []
     rows: list[_Line] = []
     groups: list[tuple[list[_Line], list[_Line]]] = []
@@ -318,8 +301,7 @@ def parse_tables(text: str, path: Path, knows: Callable[[str, str], bool]) -> Ta
         groups.append((above, rows))
     groups, left_out = _without_stray_numbers(groups)
     left_out += [_no_row(line) for line in trailing if any(_is_number(cell) for cell in line.cells[1:])]
-    for heading_lines, data in groups:
-        tables.append(_table(path, heading_lines, data, delimiter, knows))
+    tables = [_table(path, heading_lines, data, delimiter, knows) for heading_lines, data in groups]
     return TableFile(tables, tuple(line.text.strip() for line in trailing), tuple(left_out))
 
 
@@ -404,9 +386,7 @@ def split(line: str, delimiter: str | None) -> list[str]:
 
 def _numeric_share(cells: Sequence[str]) -> float:
     filled = [cell for cell in cells if cell]
-    if not filled:
-        return 0.0
-    return sum(1 for cell in filled if _is_value(cell)) / len(filled)
+    return sum(map(_is_value, filled)) / len(filled) if filled else 0.0
 
 
 def _is_value(cell: str) -> bool:
@@ -513,25 +493,22 @@ def _without_trailing_remark(text: str, delimiter: str | None) -> str:
     return text[:place] if is_behind_numbers else text
 
 
-def _is_heading_remark(
-    line: _Line, delimiter: str | None, knows: Callable[[str, str], bool], width: int
-) -> tuple[str, ...] | None:
-    """Return the headings that a remark line names, or None if it is a remark only."""
+def _is_heading_remark(line: _Line, delimiter: str | None, knows: Callable[[str, str], bool], width: int) -> bool:
+    """Whether a remark line names the columns."""
     text = line.text.strip().lstrip("#%!;*/'").strip()
-    for cells in _splits(text, delimiter, width):
-        if len(cells) == width and sum(knows(cell, "") for cell in cells) >= min(2, width):
-            return tuple(cells)
-    return None
+    return any(
+        len(cells) == width and sum(knows(cell, "") for cell in cells) >= min(2, width)
+        for cells in _splits(text, delimiter)
+    )
 
 
-def _splits(text: str, delimiter: str | None, width: int) -> Iterator[list[str]]:
+def _splits(text: str, delimiter: str | None) -> Iterator[list[str]]:
     """Yield the cells of a heading by each delimiter, that of the rows first."""
     seen: list[list[str]] = []
     cases: list[list[str]] = [split(text, delimiter)]
     cases += [split(text, mark) for mark in ("\t", ";", ",") if mark != delimiter]
-    cases.append([cell for cell in re.split(r"\t+|\s{2,}", text.strip()) if cell])
-    cases.append([cell for cell in re.split(r"[\t ]+", text.strip()) if cell])
-    cases.append([cell for cell in re.split(r"[\t ,;]+", text.strip()) if cell])
+    for blanks in (r"\t+|\s{2,}", r"[\t ]+", r"[\t ,;]+"):
+        cases.append([cell for cell in re.split(blanks, text.strip()) if cell])
     for cells in cases:
         if text.count('"') % 2 == 0 and any(cell.count('"') % 2 for cell in cells):
             continue  # the delimiter is inside quotes
@@ -557,10 +534,9 @@ def _with_units_joined(cells: Sequence[str]) -> list[str]:
 
 def _is_unit_row(cells: Sequence[str]) -> bool:
     filled = [cell for cell in cells if _without_brackets(cell)]
-    if not filled:
-        return False
-    known = [parse_unit(_without_brackets(cell)) is not None or _is_unit_phrase(cell) for cell in filled]
-    return all(known)
+    return bool(filled) and all(
+        parse_unit(_without_brackets(cell)) is not None or _is_unit_phrase(cell) for cell in filled
+    )
 
 
 def _is_unit_phrase(cell: str) -> bool:
@@ -653,12 +629,8 @@ def _marks(path: Path, rows: list[list[str]], lines: list[int], delimiter: str |
     Raises:
         NacreError: points and commas contradict each other, or a comma delimits cells and fractions.
     """
-    with_comma = [
-        cell
-        for row in rows
-        for cell in row
-        if "," in cell and (_PLAIN_NUMBER.fullmatch(cell) or _GROUPED.fullmatch(cell))
-    ]
+    cells = [cell for row in rows for cell in row]
+    with_comma = [c for c in cells if "," in c and (_PLAIN_NUMBER.fullmatch(c) or _GROUPED.fullmatch(c))]
     if not with_comma:
         if delimiter == ",":
             _check_split_fractions(path, rows, lines)
@@ -670,7 +642,7 @@ def _marks(path: Path, rows: list[list[str]], lines: list[int], delimiter: str |
             raise NacreError(f'{path}: "{both[0]}" and other numbers use points and commas in two ways')
         decimal = decimals.pop()
         return decimal, "," if decimal == "." else "."
-    with_point = any("." in cell and "," not in cell and _PLAIN_NUMBER.fullmatch(cell) for row in rows for cell in row)
+    with_point = any("." in cell and "," not in cell and _PLAIN_NUMBER.fullmatch(cell) for cell in cells)
     are_groups = all(_BARE_GROUPS.fullmatch(cell) for cell in with_comma)
     if with_point and not are_groups:
         raise NacreError(f'{path}: fractions are written with commas ("{with_comma[0]}") and with points; use one mark')
@@ -708,14 +680,9 @@ def _find_headings(
             text = text.lstrip("#%!;*/'").strip()
         empty = text.count(delimiter) if delimiter else 0  # "nm,," states the unit of the first column
         unit_cells = next(
-            (c for c in _splits(text, delimiter, width) if len(c) + empty >= min(width, 2) and _is_unit_row(c)), None
+            (c for c in _splits(text, delimiter) if len(c) + empty >= min(width, 2) and _is_unit_row(c)), []
         )
-        if (
-            unit_cells is not None
-            and not units
-            and len(unit_cells) <= width + 1
-            and not _names_columns(unit_cells, above, line)
-        ):
+        if unit_cells and not units and len(unit_cells) <= width + 1 and not _names_columns(unit_cells, above, line):
             units, used = [unit_of(cell) for cell in unit_cells], {line.number}
             continue
         cells = _heading_cells(text, delimiter, width, knows, units, is_remark=line.is_remark)
@@ -724,8 +691,9 @@ def _find_headings(
         is_apart = is_apart or line.is_data
         if cells is not None:
             return cells, units, line.number, used | {line.number}
-        if not line.is_remark and not _is_mark(text):
-            break  # a title; headings are never above titles
+        # headings are never above titles, but above marks such as ">>>>>Begin Spectral Data<<<<<"
+        if not line.is_remark and not _MARK.match(text.lower()):
+            break
     return [], units, 0, used
 
 
@@ -737,11 +705,6 @@ def _names_columns(cells: list[str], above: list[_Line], line: _Line) -> bool:
     return not any(
         len(re.split(r"[\s;,]+", other.text.strip())) >= len(cells) for other in above[max(0, place - 2) : place]
     )
-
-
-def _is_mark(text: str) -> bool:
-    """Whether a line only marks the begin of data, such as ">>>>>Begin Spectral Data<<<<<"."""
-    return bool(re.match(r"[>\[<=+*_~-]{3,}|\[?(begin|data|xydata|start|spectral data)\b", text.strip().lower()))
 
 
 def _heading_cells(
@@ -756,7 +719,7 @@ def _heading_cells(
     """Return the cells of a line of headings, or None if the line is a title or a remark."""
     best: list[str] | None = None
     best_score = 0.0
-    for place, cells in enumerate(_splits(text, delimiter, width)):
+    for place, cells in enumerate(_splits(text, delimiter)):
         if len(cells) < 2 and width > 1:
             continue
         if any(_without_brackets(c) != c and parse_unit(_without_brackets(c)) is not None for c in cells):
@@ -765,16 +728,11 @@ def _heading_cells(
         fits = len(cells) == width
         if known < len(cells) and cells[0][-1:] in (":", "="):
             continue  # "Date: 01.02.2024"
-        if not fits and (known < min(2, width) or known < len(cells)):
+        if not fits and (is_remark or known < min(2, width) or known < len(cells)):
             continue
-        if is_remark and (known < min(2, width) or not fits):
+        if is_remark and known < min(2, width):
             continue
-        score = (
-            (4.0 if fits else 0.0)
-            + (1.0 if fits and place == 0 else 0.0)
-            + 2.0 * known / max(1, len(cells))
-            - 0.01 * place
-        )
+        score = 4.0 * fits + (fits and place == 0) + 2.0 * known / max(1, len(cells)) - 0.01 * place
         # a line of the rows' own layout is their heading even if no word is known: it is then named in the error
         if known == 0 and not (place == 0 and fits and width > 1 and delimiter is not None and ":" not in text):
             continue

@@ -20,18 +20,6 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.hdf5 import HDF5_MAGIC, dataset, opened, text_of
 from nacre.readers.heights import surface
-from nacre.readers.heights.surface import (
-    array,
-    asked_pitch,
-    asked_unit,
-    check_end,
-    check_shape,
-    chosen,
-    decoded,
-    height_map,
-    length_um,
-    numbers,
-)
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
@@ -48,17 +36,15 @@ def sniff_al3d(head: FileHead) -> float:
 
 
 def _tags(data: bytes) -> dict[str, str]:
-    found: dict[str, str] = {}
-    count, position = 2, len(AL3D_MAGIC)
-    while len(found) < count:
+    tags: dict[str, str] = {}
+    position = len(AL3D_MAGIC)
+    while len(tags) < int(tags.get("TagCount", 0)) + 2:
         tag = data[position : position + TAG_BYTES]
         if tag[-2:] != b"\r\n":
             raise ValueError("a tag is cut")
-        key, value = (part.split(b"\0")[0].decode("latin-1").strip() for part in (tag[:KEY_BYTES], tag[KEY_BYTES:-2]))
-        found[key] = value
-        count = int(found.get("TagCount", 0)) + 2
+        tags[_name(tag[:KEY_BYTES])] = _name(tag[KEY_BYTES:-2])
         position += TAG_BYTES
-    return found
+    return tags
 
 
 def read_al3d(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -72,9 +58,9 @@ def read_al3d(path: Path, options: ReadOptions) -> list[Measurement]:
     heights = raw.astype(float)
     heights[np.abs(raw - marker) < SAME * abs(marker)] = np.nan
     pitch = float(tags["PixelSizeXMeter"]) * 1e6, float(tags["PixelSizeYMeter"]) * 1e6
-    left = ["texture image"] if int(tags.get("TextureImageOffset", 0)) else []
+    left_out = ["texture image"] if int(tags.get("TextureImageOffset", 0)) else []
     facts = {"instrument": tags.get("CreatingApplication", "")}
-    return [surface.height_map(path, heights * 1e6, pitch, metadata=facts, left_out=left)]
+    return [surface.height_map(path, heights * 1e6, pitch, metadata=facts, left_out=left_out)]
 
 
 # Digital Surf .sur files of MountainsMap; compressed ones hold streams of deflate below a table of their sizes.
@@ -167,9 +153,7 @@ def read_keyence(path: Path, options: ReadOptions) -> list[Measurement]:
     data = path.read_bytes()
     if data.startswith(ZIPPED):
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            if archive.getinfo(MEMBER).file_size > MAX_BYTES:
-                raise ValueError(f"{MEMBER} is larger than {MAX_BYTES >> 30} GiB")
-            data = archive.read(MEMBER)
+            data = _member(archive, MEMBER, MAX_BYTES)
     if not data.startswith(PLAIN):
         return [_csv(path, surface.decoded(data), options)]
     surface.check_unit(path, options, "pm")
@@ -235,11 +219,11 @@ class _Items:
 
     def __init__(self, data: bytes) -> None:
         self.data, self.at = data, len(OPDX_MAGIC)
-        self.found: dict[str, Any] = {}
+        self.values: dict[str, Any] = {}
         self.readers: dict[int, Callable[[], Any]] = {
             0x00: self.named_matrix, 0x12: self.string, 0x13: self.quantity, 0x0E: self.type_id,
-            0x15: lambda: self.skip(TIME_BYTES), 0x18: self.unit, 0x40: self.block, 0x42: self.strings,
-            0x45: self.matrix, POSITIONS: self.block,
+            0x15: lambda: self.skip(TIME_BYTES), 0x18: self.unit, 0x40: self.type_id, 0x42: self.strings,
+            0x45: self.matrix, POSITIONS: self.type_id,
         }  # fmt: skip
 
     def number(self, form: str) -> Any:
@@ -269,17 +253,14 @@ class _Items:
     def strings(self) -> list[str]:
         self.name()
         end = self.length() + self.at
-        found = []
+        strings = []
         while self.at < end:
-            found.append(self.name())
-        return found
+            strings.append(self.name())
+        return strings
 
     def type_id(self) -> None:
         self.name()
         self.skip(self.length())
-
-    def block(self) -> None:
-        self.type_id()
 
     def quantity(self) -> tuple[float, str]:
         end = self.length() + self.at
@@ -297,17 +278,13 @@ class _Items:
         self.at = end
         return value, symbol
 
-    def matrix(self) -> tuple[int, int, int]:
-        self.name()
-        return self._sizes()
-
     def named_matrix(self) -> tuple[int, int, int]:
         self.name()
         self.number("<I")
-        self.name()
-        return self._sizes()
+        return self.matrix()
 
-    def _sizes(self) -> tuple[int, int, int]:
+    def matrix(self) -> tuple[int, int, int]:
+        self.name()
         length = self.length()
         rows, columns = self.number("<I"), self.number("<I")
         start = self.at
@@ -328,9 +305,9 @@ class _Items:
                 pass
             self.at = end
         elif kind in SCALARS:
-            self.found[path] = self.number(SCALARS[kind])
+            self.values[path] = self.number(SCALARS[kind])
         elif kind in self.readers:
-            self.found[path] = self.readers[kind]()
+            self.values[path] = self.readers[kind]()
         else:
             raise ValueError(f"an item of type {kind} at byte {self.at}")
         return True
@@ -342,14 +319,14 @@ def read_opdx(path: Path, options: ReadOptions) -> list[Measurement]:
     items = _Items(data)
     while items.item(""):
         pass
-    found, maps, others = items.found, [], []
-    names = [key.split("/")[2] for key in found if key.startswith("/2D_Data/") and key.endswith("/Matrix")]
-    if not names and any(key.startswith("/1D_Data/") for key in found):
+    values, maps, others = items.values, [], []
+    names = [key.split("/")[2] for key in values if key.startswith("/2D_Data/") and key.endswith("/Matrix")]
+    if not names and any(key.startswith("/1D_Data/") for key in values):
         raise NacreError(f"{path}: is a line profile; nacre reads maps of heights")
     for name in names:
         prefix = f"/2D_Data/{name}"
-        start, rows, columns = found[f"{prefix}/Matrix"]
-        scale, unit = found[f"{prefix}/DataScale"]
+        start, rows, columns = values[f"{prefix}/Matrix"]
+        scale, unit = values[f"{prefix}/DataScale"]
         factor = surface.length_um(unit)
         if factor is None:
             others.append(f'"{name}" in {unit}')
@@ -357,7 +334,7 @@ def read_opdx(path: Path, options: ReadOptions) -> list[Measurement]:
         surface.check_unit(path, options, unit)
         pitch = []
         for axis, count in ((2, columns), (1, rows)):
-            extent, symbol = found[f"{prefix}/Dimension{axis}Extent"]
+            extent, symbol = values[f"{prefix}/Dimension{axis}Extent"]
             pitch.append(extent * (surface.length_um(symbol) or 0.0) / max(count - 1, 1))
         raw = surface.array(data, "<f4", (rows, columns), start)
         maps.append(surface.height_map(path, raw.astype(float) * scale * factor, (pitch[0], pitch[1]), name))
@@ -393,16 +370,16 @@ def read_wyko(path: Path, options: ReadOptions) -> list[Measurement]:
         text = surface.decoded(data)
         surface.check_end(text, path)
         fields, arrays = _ascii(path, text)
-        found = TEXT.match(text)
-        is_nm = found is not None and found[1] != "0"
+        first_line = TEXT.match(text)
+        is_nm = first_line is not None and first_line[1] != "0"
         factor = 1.0 if is_nm else fields["Wavelength"] / fields.get("Mult", 1.0)
     surface.check_unit(path, options, "nm")
     step = fields["Pixel_size"] * 1e3
     pitch = step, step * fields.get("Aspect", 1.0)
     others = [f'"{name}"' for name in arrays if name not in HEIGHTS]
-    left = [f"array {name}: no height" for name in others]
+    left_out = [f"array {name}: no height" for name in others]
     maps = [
-        surface.height_map(path, values.T[::-1] * factor * 1e-3, pitch, name, left_out=left)
+        surface.height_map(path, values.T[::-1] * factor * 1e-3, pitch, name, left_out=left_out)
         for name, values in arrays.items() if name in HEIGHTS
     ]  # fmt: skip
     return surface.chosen(path, maps, others, options)
@@ -504,8 +481,8 @@ def read_sdf(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(f"{path}: gives Zscale = {scale[2]:g}; it should be above 0")
     heights = values.astype(float)
     heights[np.isin(heights, _holes(np.dtype(SDF_TYPES[int(fields["DataType"])]), data[1:4] == b"BCR"))] = np.nan
-    kept = {k: str(v) for k, v in fields.items() if k in ("ManufacID", "CreateDate", "ModDate")}
-    return [height_map(path, heights * scale[2] * 1e6, (scale[0] * 1e6, scale[1] * 1e6), metadata=kept)]
+    facts = {k: str(v) for k, v in fields.items() if k in ("ManufacID", "CreateDate", "ModDate")}
+    return [surface.height_map(path, heights * scale[2] * 1e6, (scale[0] * 1e6, scale[1] * 1e6), metadata=facts)]
 
 
 def _holes(kind: np.dtype[Any], is_bcr: bool) -> list[float]:
@@ -519,28 +496,22 @@ def _holes(kind: np.dtype[Any], is_bcr: bool) -> list[float]:
 
 def _sdf_binary(data: bytes) -> tuple[NDArray[Any], dict[str, Any]]:
     form = struct.Struct(HEAD.format("I" if data.startswith(b"bISO-2.0") else "H"))
-    _, maker, made, changed, columns, rows, x, y, z, _, compression, kind, _ = form.unpack_from(data)
-    texts = (v.decode("latin-1").strip(" \0") for v in (maker, made, changed))
-    fields = dict(zip(("ManufacID", "CreateDate", "ModDate"), texts))
-    more = {"Xscale": x, "Yscale": y, "Zscale": z, "Compression": compression, "DataType": kind}
-    values = array(data, SDF_TYPES[kind], (rows, columns), form.size)
-    return values, {**fields, **more}
+    _, *texts, columns, rows, x, y, z, _, compression, kind, _ = form.unpack_from(data)
+    fields: dict[str, Any] = {"Xscale": x, "Yscale": y, "Zscale": z, "Compression": compression, "DataType": kind}
+    fields |= zip(("ManufacID", "CreateDate", "ModDate"), (v.decode("latin-1").strip(" \0") for v in texts))
+    return surface.array(data, SDF_TYPES[kind], (rows, columns), form.size), fields
 
 
 def _sdf_ascii(data: bytes, path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
-    head, star, rest = decoded(data).partition("*")
+    head, star, rest = surface.decoded(data).partition("*")
     if not star:
         raise ValueError("the end of its head is missing")
-    fields: dict[str, Any] = {}
-    for line in head.splitlines()[1:]:
-        name, equals, value = line.partition("=")
-        if equals:
-            fields[name.strip()] = value.strip()
+    fields: dict[str, Any] = dict(surface.key_values(head.splitlines()[1:], "=", is_last=True))
     shape = int(fields["NumProfiles"]), int(fields["NumPoints"])
     body, end, _ = rest.partition("*")
     if not end:
-        check_end(body, path)
-    return surface.shaped(numbers(body, path), shape), fields
+        surface.check_end(body, path)
+    return surface.shaped(surface.numbers(body, path), shape), fields
 
 
 # X3P files, ISO 25178-72 (ISO 5436-2): a zip with an XML head and a binary matrix, in m.
@@ -560,9 +531,9 @@ def sniff_x3p(head: FileHead) -> float:
         return 0.0
 
 
-def _member(archive: zipfile.ZipFile, name: str) -> bytes:
-    if archive.getinfo(name).file_size > X3P_MAX_BYTES:
-        raise ValueError(f"{name} is larger than {X3P_MAX_BYTES >> 30} GiB")
+def _member(archive: zipfile.ZipFile, name: str, most_bytes: int = X3P_MAX_BYTES) -> bytes:
+    if archive.getinfo(name).file_size > most_bytes:
+        raise ValueError(f"{name} is larger than {most_bytes >> 30} GiB")
     return archive.read(name)
 
 
@@ -577,33 +548,33 @@ def read_x3p(path: Path, options: ReadOptions) -> list[Measurement]:
             element.tag = element.tag.rpartition("}")[2]
 
         def value(place: str, default: str | None = None) -> str:
-            found = root.find(place)
-            if found is None or found.text is None:
-                if default is None:
-                    raise ValueError(f"its head lacks {place}")
-                return default
-            return found.text.strip()
+            text = root.findtext(place) or default
+            if text is None:
+                raise ValueError(f"its head lacks {place}")
+            return text.strip()
 
-        if value("Record1/FeatureType") not in ("SUR",):
+        if value("Record1/FeatureType") != "SUR":
             raise NacreError(f"{path}: is a {value('Record1/FeatureType')}, no surface; heights are a map")
         surface.check_unit(path, options, "m")
         columns, rows = (int(value(f"Record3/MatrixDimension/Size{axis}")) for axis in "XY")
-        check_shape((rows, columns))
+        surface.check_shape((rows, columns))
         steps = [float(value(f"Record1/Axes/C{axis}/Increment", "1" if axis == "Z" else None)) for axis in "XYZ"]
         offset = float(value("Record1/Axes/CZ/Offset", "0"))
         if root.find("Record3/DataList") is not None:
             words = "\n".join(d.text or "nan" for d in root.iterfind("Record3/DataList/Datum"))
-            cells = numbers(words.replace(";", " ") + "\n", path).reshape(rows, columns, -1)[..., -1]
+            cells = surface.numbers(words.replace(";", " ") + "\n", path).reshape(rows, columns, -1)[..., -1]
         else:
             kind = X3P_TYPES[value("Record1/Axes/CZ/DataType")]
-            cells = array(_member(archive, _inside(value("Record3/DataLink/PointDataLink"))), kind, (rows, columns))
+            cells = surface.array(
+                _member(archive, _inside(value("Record3/DataLink/PointDataLink"))), kind, (rows, columns)
+            )
         heights = cells.astype(float) * steps[2] + offset
         mask = value("Record3/DataLink/ValidPointsLink", "")
         if mask:
             bits = np.unpackbits(np.frombuffer(_member(archive, _inside(mask)), "u1"), bitorder="little")
             heights[bits[: rows * columns].reshape(rows, columns) == 0] = np.nan
     facts = {"date": value("Record2/Date", ""), "instrument": value("Record2/Instrument/Model", "")}
-    return [height_map(path, heights * 1e6, (steps[0] * 1e6, steps[1] * 1e6), metadata=facts)]
+    return [surface.height_map(path, heights * 1e6, (steps[0] * 1e6, steps[1] * 1e6), metadata=facts)]
 
 
 def _inside(name: str) -> str:
@@ -636,13 +607,13 @@ def read_zygo(path: Path, options: ReadOptions) -> list[Measurement]:
     (resolution,) = struct.unpack_from(">h", data, RESOLUTION)
     (sign,) = struct.unpack_from(">h", data, SIGN)
     surface.check_unit(path, options, "m")
-    raw = array(data, ">i4", (rows, columns), head_bytes + 2 * width * height * buckets)
+    raw = surface.array(data, ">i4", (rows, columns), head_bytes + 2 * width * height * buckets)
     heights = raw.astype(float)
     heights[raw >= HOLE] = np.nan
     heights *= factor * obliquity * wavelength_m / PHASES[resolution] * 1e6 * (-1.0 if sign else 1.0)
-    pitch = (lateral_m * 1e6,) * 2 if lateral_m > 0 else asked_pitch(path, options)
-    left = ["intensity image"] if buckets else []
-    return [height_map(path, heights, (pitch[0], pitch[1]), left_out=left)]
+    pitch = (lateral_m * 1e6,) * 2 if lateral_m > 0 else surface.requested_pitch(path, options)
+    left_out = ["intensity image"] if buckets else []
+    return [surface.height_map(path, heights, (pitch[0], pitch[1]), left_out=left_out)]
 
 
 # Zygo MetroPro text: XYZ data (format 1) and ASCII data (format 2), both with a head of 13 or 14 lines.
@@ -667,21 +638,21 @@ def read_zygo_text(path: Path, options: ReadOptions) -> list[Measurement]:
         AmbiguousFileError: the file states no distance of its points.
         NacreError: the head or the data end early.
     """
-    lines = decoded(path.read_bytes()).lstrip("\ufeff").splitlines()
+    lines = surface.decoded(path.read_bytes()).lstrip("\ufeff").splitlines()
     ends = [place for place, line in enumerate(lines) if line.strip() == "#"]
     is_xyz = "XYZ" in lines[0]
     if len(ends) < (2 if is_xyz else 3) or ends[0] < RESOLUTION_LINE + 1:
         raise ValueError("a line # that ends its head, intensities or heights is missing")
     left, top, columns, rows = (int(float(word)) for word in lines[PHASE_LINE].split()[:4])
-    check_shape((rows, columns))
+    surface.check_shape((rows, columns))
     optics = [float(word) for word in lines[OPTICS_LINE].split()[: CAMERA + 1]]
     assumed, left_out = [], []
     if is_xyz:
         heights = _points(lines[ends[0] + 1 : ends[1]], (rows, columns), (left, top))
-        unit = 1.0 if options.unit is None else asked_unit(path, options)
-        heights *= unit
         if options.unit is None:
             assumed = ["heights are in um, the unit of Zygo's XYZ format 1"]
+        else:
+            heights *= surface.requested_unit(path, options)
     else:
         surface.check_unit(path, options, "m")
         turn = PHASES[int(lines[RESOLUTION_LINE].split()[0])]
@@ -689,24 +660,23 @@ def read_zygo_text(path: Path, options: ReadOptions) -> list[Measurement]:
         heights = _phase(path, lines[ends[1] + 1 : ends[2]], (rows, columns)) * scale
         left_out = ["intensity image"] if ends[1] > ends[0] + 1 else []
     step = optics[CAMERA] * 1e6
-    pitch = (step, step) if step > 0 else asked_pitch(path, options)
-    return [height_map(path, heights, pitch, assumed=assumed, left_out=left_out)]
+    pitch = (step, step) if step > 0 else surface.requested_pitch(path, options)
+    return [surface.height_map(path, heights, pitch, assumed=assumed, left_out=left_out)]
 
 
 def _points(lines: list[str], shape: tuple[int, int], origin: tuple[int, int]) -> Array:
     """Return the values of lines `column row value`; words such as "No Data" are holes."""
     heights = np.full(shape, np.nan)
-    found = 0
-    for line in filter(str.strip, lines):
+    points = list(filter(str.strip, lines))
+    for line in points:
         words = re.split(r"[\s,;]+", line.strip(), maxsplit=2)
         column, row = int(words[0]) - origin[0], int(words[1]) - origin[1]
         if not (0 <= column < shape[1] and 0 <= row < shape[0]):
             raise ValueError(f"a point at {words[0]}, {words[1]} lies outside of the map")
         if not words[2].lower().startswith("no"):
             heights[row, column] = float(words[2])
-        found += 1
-    if found > heights.size:
-        raise ValueError(f"{found} points for {shape[0]} x {shape[1]} places")
+    if len(points) > heights.size:
+        raise ValueError(f"{len(points)} points for {shape[0]} x {shape[1]} places")
     return heights
 
 
@@ -729,10 +699,6 @@ def sniff_datx(head: FileHead) -> float:
     return CERTAIN if is_hdf5 and b"Surface" in head.data and b"X Converter" in head.data else 0.0
 
 
-def _scalar(attributes: Any, name: str) -> Any:
-    return np.ravel(attributes[name])[0]
-
-
 def read_datx(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the surfaces; fringes are multiplied by wavelength, scale factor and obliquity."""
     maps = []
@@ -742,24 +708,24 @@ def read_datx(path: Path, options: ReadOptions) -> list[Measurement]:
                 stored = dataset(file, f"{group}/{name}")
                 if stored is not None and stored.ndim == 2:
                     maps.append(_map(path, stored, name, options))
-    return chosen(path, maps, [], options)
+    return surface.chosen(path, maps, [], options)
 
 
 def _map(path: Path, stored: Any, name: str, options: ReadOptions) -> Measurement:
     heights = np.asarray(stored[()], dtype=float)
+
+    def scalar(name: str) -> Any:
+        return np.ravel(stored.attrs[name])[0]
+
     if "No Data" in stored.attrs:
-        heights[heights == float(_scalar(stored.attrs, "No Data"))] = np.nan
-    unit = text_of(_scalar(stored.attrs, "Unit"))
-    surface.check_unit(path, options, "m" if unit.lower() in ("fringes", "waves") else unit)
-    factor = length_um(unit)
-    if unit.lower() in ("fringes", "waves"):
-        factor = 1e6 * float(
-            _scalar(stored.attrs, "Wavelength")
-            * (_scalar(stored.attrs, "Interferometric Scale Factor") if unit.lower() == "fringes" else 1.0)
-            * (_scalar(stored.attrs, "Obliquity Factor") if unit.lower() == "fringes" else 1.0)
-        )
+        heights[heights == float(scalar("No Data"))] = np.nan
+    unit = text_of(scalar("Unit"))
+    factors = {"waves": ["Wavelength"], "fringes": ["Wavelength", "Interferometric Scale Factor", "Obliquity Factor"]}
+    names = factors.get(unit.lower(), [])
+    surface.check_unit(path, options, "m" if names else unit)
+    factor = 1e6 * float(np.prod([scalar(name) for name in names])) if names else surface.length_um(unit)
     if factor is None:
         raise NacreError(f"{path}: its surface is in {unit[:20]}; heights are lengths")
-    steps = [float(np.ravel(_scalar(stored.attrs, f"{axis} Converter")[-1])[1]) * 1e6 for axis in "XY"]
-    pitch = (steps[0], steps[1]) if min(steps) > 0 else asked_pitch(path, options)
-    return height_map(path, heights * factor, pitch, "" if name.startswith("{") else name)
+    steps = [float(np.ravel(scalar(f"{axis} Converter")[-1])[1]) * 1e6 for axis in "XY"]
+    pitch = (steps[0], steps[1]) if min(steps) > 0 else surface.requested_pitch(path, options)
+    return surface.height_map(path, heights * factor, pitch, "" if name.startswith("{") else name)

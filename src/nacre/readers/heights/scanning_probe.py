@@ -7,6 +7,7 @@ import re
 import struct
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -15,20 +16,6 @@ import numpy as np
 from nacre.core.errors import NacreError
 from nacre.readers.hdf5 import HDF5_MAGIC, dataset, opened
 from nacre.readers.heights import surface
-from nacre.readers.heights.surface import (
-    array,
-    asked_pitch,
-    asked_unit,
-    check_end,
-    check_shape,
-    check_unit,
-    chosen,
-    decoded,
-    height_map,
-    length_um,
-    numbers,
-    quantity_um,
-)
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead
 
@@ -37,7 +24,7 @@ from nacre.readers.registry import CERTAIN, LIKELY, FileHead
 NANOSCOPE_MAGICS = (b"\\*File list", b"\\*EC File list", b"?*File list")
 NANOSCOPE_IMAGES = ("ciao image list", "afm image list", "stm image list", "nca image list", "image list")
 FOUR_BYTES_FROM = 0x09200000  # version from which integers have four bytes whatever the head says
-VALUE = re.compile(r"(?P<kind>[VCS])\s*(?:\[(?P<soft>[^\]]*)\])?\s*(?:\((?P<lsb>[^)]*)\))?\s*(?P<rest>.*)")
+VALUE = re.compile(r"[VCS]\s*(?:\[(?P<soft>[^\]]*)\])?\s*(?:\([^)]*\))?\s*(?P<rest>.*)")
 NUMBER = re.compile(r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(.*)")
 
 Section = dict[str, str]
@@ -49,17 +36,17 @@ def sniff_nanoscope(head: FileHead) -> float:
 
 
 def _sections(data: bytes) -> list[tuple[str, Section]]:
-    found: list[tuple[str, Section]] = []
+    sections: list[tuple[str, Section]] = []
     for line in data.split(b"\x1a")[0].decode("latin-1").splitlines():
         if line.startswith(("\\*", "?*")):
             name = line[2:].strip().lower()
             if name == "file list end":
                 break
-            found.append((name, {}))
-        elif line.startswith("\\") and found:
+            sections.append((name, {}))
+        elif line.startswith("\\") and sections:
             key, _, value = line[1:].partition(": ")
-            found[-1][1][key.strip().lower()] = value.strip()
-    return found
+            sections[-1][1][key.strip().lower()] = value.strip()
+    return sections
 
 
 def _scale_um(image: Section, scanner: Mapping[str, str], bits: int) -> tuple[float, str] | None:
@@ -82,19 +69,19 @@ def _scale_um(image: Section, scanner: Mapping[str, str], bits: int) -> tuple[fl
             return None
         per_lsb *= float(value[1])
         unit = value[2].split("/")[0].strip() if "/" in value[2] else ""
-    factor = length_um(unit) if unit else None
+    factor = surface.length_um(unit) if unit else None
     return None if factor is None else (per_lsb * factor, unit)
 
 
 def _size_um(image: Section, scan: Mapping[str, str]) -> tuple[float, float]:
     words = image.get("scan size", scan.get("scan size", "")).split()
     numbers = [float(w) for w in words if NUMBER.fullmatch(w)]
-    factor = length_um(words[-1])
+    factor = surface.length_um(words[-1])
     if not numbers or factor is None:
         raise ValueError(f'scan size is "{" ".join(words)}"')
     width, height = numbers[0] * factor, numbers[-1] * factor
     slow = scan.get("slow axis size", "").split()
-    if len(slow) == 2 and (unit := length_um(slow[1])) is not None:
+    if len(slow) == 2 and (unit := surface.length_um(slow[1])) is not None:
         height = float(slow[0]) * unit
     return width, height
 
@@ -126,7 +113,7 @@ def read_nanoscope(path: Path, options: ReadOptions) -> list[Measurement]:
         length = int(image["data length"])
         if int(image["data offset"]) + length > len(data):
             raise ValueError(f'channel "{channel}" ends after the file')
-        held = 4 if version >= FOUR_BYTES_FROM and length >= 4 * columns * rows else size
+        stored_size = 4 if version >= FOUR_BYTES_FROM and length >= 4 * columns * rows else size
         try:
             scale = _scale_um(image, merged, 8 * size)
         except NacreError as error:
@@ -134,15 +121,15 @@ def read_nanoscope(path: Path, options: ReadOptions) -> list[Measurement]:
         if scale is None:
             others.append(f'"{channel}"')
             continue
-        check_unit(path, options, scale[1])
+        surface.check_unit(path, options, scale[1])
         width, height = _size_um(image, merged)
-        raw = array(data, "<i4" if held == 4 else "<i2", (rows, columns), int(image["data offset"]))
+        raw = surface.array(data, "<i4" if stored_size == 4 else "<i2", (rows, columns), int(image["data offset"]))
         label = channel if direction in ("", "Trace") else f"{channel} ({direction})"
         aspect = _aspect(image)
         pitch = width / columns, (height if height != width or aspect == 1.0 else height / aspect) / rows
-        maps.append(height_map(path, raw[::-1] * scale[0], pitch, label, {"date": merged.get("date", "")}))
-    left = tuple(f"channel {name}: no height" for name in others)
-    return [replace(one, left_out=left) for one in chosen(path, maps, others, options)]
+        maps.append(surface.height_map(path, raw[::-1] * scale[0], pitch, label, {"date": merged.get("date", "")}))
+    left_out = tuple(f"channel {name}: no height" for name in others)
+    return [replace(one, left_out=left_out) for one in surface.chosen(path, maps, others, options)]
 
 
 def _aspect(image: Section) -> float:
@@ -169,55 +156,46 @@ def read_wsxm(path: Path, options: ReadOptions) -> list[Measurement]:
     """
     data = path.read_bytes()
     if b"ASCII Matrix" in data[:200]:
-        return [_matrix(path, decoded(data), options)]
-    found = re.search(rb"Image header size:\s*(\d+)", data[:400])
-    if found is None:
+        return [_matrix(path, surface.decoded(data), options)]
+    head_size = re.search(rb"Image header size:\s*(\d+)", data[:400])
+    if head_size is None:
         raise ValueError("it does not state the size of its head")
-    size = int(found[1])
-    head = data[:size].decode("latin-1")
-    fields: dict[str, str] = {}
-    for line in head.splitlines():
-        name, colon, value = line.partition(":")
-        if colon:
-            fields.setdefault(name.strip(), value.strip())
+    size = int(head_size[1])
+    fields = surface.key_values(data[:size].decode("latin-1").splitlines(), ":")
     kind = fields.get("Image Data Type", "short").lower()
     if kind not in WSXM_TYPES:
         raise ValueError(f'numbers of type "{kind}"')
     rows, columns = int(fields["Number of rows"]), int(fields["Number of columns"])
-    raw = array(data, WSXM_TYPES[kind], (rows, columns), size)[::-1, ::-1].astype(float)
+    raw = surface.array(data, WSXM_TYPES[kind], (rows, columns), size)[::-1, ::-1].astype(float)
     amplitude = fields["Z Amplitude"].split()
-    unit = length_um(amplitude[1]) if len(amplitude) > 1 else None
+    unit = surface.length_um(amplitude[1]) if len(amplitude) > 1 else None
     if unit is None:
         raise NacreError(f"{path}: holds no heights: its Z amplitude is {fields['Z Amplitude']}")
-    check_unit(path, options, amplitude[1])
+    surface.check_unit(path, options, amplitude[1])
     scale = unit
     if kind in ("short", "integer"):
         span = float(np.ptp(raw))
         scale = float(amplitude[0]) * unit / span if span > 0 else 0.0
-    width = quantity_um(fields["X Amplitude"])
-    height = quantity_um(fields.get("Y Amplitude", fields["X Amplitude"]))
+    width = surface.quantity_um(fields["X Amplitude"])
+    height = surface.quantity_um(fields.get("Y Amplitude", fields["X Amplitude"]))
     name = fields.get("Acquisition channel", "")
-    return [height_map(path, raw * scale, (width / columns, height / rows), name)]
+    return [surface.height_map(path, raw * scale, (width / columns, height / rows), name)]
 
 
 def _matrix(path: Path, text: str, options: ReadOptions) -> Measurement:
     """Read an ASCII matrix: lengths of its sides, then rows in the picture's order."""
-    check_end(text, path)
-    fields: dict[str, str] = {}
-    rows = []
-    for line in text.splitlines()[2:]:
-        name, colon, value = line.partition(":")
-        if colon:
-            fields[name.strip()] = value.strip()
-        elif line.strip():
-            rows.append(line)
+    surface.check_end(text, path)
+    lines = text.splitlines()[2:]
+    fields = surface.key_values(lines, ":", is_last=True)
+    rows = [line for line in lines if line.strip() and ":" not in line]
     heights = surface.matrix(rows, path)
     amplitude = fields.get("Z Amplitude", "").split()
-    check_unit(path, options, amplitude[1] if len(amplitude) > 1 else "")
-    unit = (length_um(amplitude[1]) if len(amplitude) > 1 else None) or asked_unit(path, options, "heights")
-    width = quantity_um(fields["X Amplitude"])
-    pitch = width / heights.shape[1], quantity_um(fields.get("Y Amplitude", fields["X Amplitude"])) / len(rows)
-    return height_map(path, heights * unit, pitch)
+    unit_in_file = amplitude[1] if len(amplitude) > 1 else ""
+    surface.check_unit(path, options, unit_in_file)
+    unit = surface.length_um(unit_in_file) or surface.requested_unit(path, options)
+    width = surface.quantity_um(fields["X Amplitude"])
+    pitch = width / heights.shape[1], surface.quantity_um(fields.get("Y Amplitude", fields["X Amplitude"])) / len(rows)
+    return surface.height_map(path, heights * unit, pitch)
 
 
 # JPK image scans (.jpk, .jpk-qi-image): TIFF files, one page per channel after a thumbnail.
@@ -267,20 +245,19 @@ def read_jpk(path: Path, options: ReadOptions) -> list[Measurement]:
                 starts = [JPK_FIRST + k * STRIDE for k in range(int(_tag(page, SLOTS, 0)))]
                 slot = next((s for s in starts if _tag(page, s + NAME) == default), None)
                 unit = "" if slot is None else str(_tag(page, slot + UNIT, ""))
-                factor = length_um(unit)
+                factor = surface.length_um(unit)
                 if slot is None or factor is None or _tag(page, slot + TYPE) != "LinearScaling":
                     others.append(f'"{name}" in {unit or "no unit"}')
                     continue
-                check_unit(path, options, unit)
+                surface.check_unit(path, options, unit)
                 raw = page.asarray().astype(float)
                 values = (raw * float(_tag(page, slot + FACTOR)) + float(_tag(page, slot + OFFSET, 0.0))) * factor
                 values = values if _tag(page, REFLECT, _tag(first, REFLECT, 0)) else values[::-1]
                 pitch = size[0] / values.shape[1], size[1] / values.shape[0]
-                left = ("thumbnail",)
-                maps.append(height_map(path, values, pitch, name, left_out=left))
+                maps.append(surface.height_map(path, values, pitch, name, left_out=("thumbnail",)))
     except tifffile.TiffFileError as error:
         raise ValueError(str(error)) from None
-    return chosen(path, maps, others, options)
+    return surface.chosen(path, maps, others, options)
 
 
 # Igor binary waves (.ibw) of version 5, as Asylum Research writes them: one layer per channel.
@@ -311,38 +288,36 @@ def read_ibw(path: Path, options: ReadOptions) -> list[Measurement]:
     order = _order(data)
     if order is None:
         raise ValueError("its checksum is wrong")
-    _, _, _, formula, note, _, *label_sizes = struct.unpack_from(order + "hhiiii" + "4i" + "4i", data)
-    labels_sizes = label_sizes[4:]
+    _, _, _, formula, note, _, _, _, _, _, *label_sizes = struct.unpack_from(order + "hhiiii" + "4i" + "4i", data)
     start = BIN_BYTES
     (kind,) = struct.unpack_from(order + "h", data, start + 16)
     dims = struct.unpack_from(order + "4i", data, start + 68)
     steps = struct.unpack_from(order + "4d", data, start + 84)
-    unit_z = data[start + 148 : start + 152].split(b"\0")[0].decode("latin-1")
-    unit_x = data[start + 152 : start + 156].split(b"\0")[0].decode("latin-1")
+    unit_z, unit_x = (data[at : at + 4].split(b"\0")[0].decode("latin-1") for at in (start + 148, start + 152))
     if kind not in IBW_TYPES:
         raise ValueError(f"numbers of type {kind}")
     if dims[1] == 0:
         raise NacreError(f"{path}: holds a profile of {dims[0]} points; heights are a map")
     layers = max(dims[2], 1)
-    check_shape((dims[1], dims[0]))
+    surface.check_shape((dims[1], dims[0]))
     count = dims[0] * dims[1] * layers
     values = np.frombuffer(data, order + IBW_TYPES[kind], count, start + WAVE_BYTES).reshape(layers, dims[1], dims[0])
     tail = start + WAVE_BYTES + values.nbytes + formula
-    names = _labels(data[tail + note + sum(struct.unpack_from(order + "2i", data, 16)) :], labels_sizes, layers)
-    lateral = length_um(unit_x)
+    names = _labels(data[tail + note + sum(struct.unpack_from(order + "2i", data, 16)) :], label_sizes, layers)
+    lateral = surface.length_um(unit_x)
     pitch = (abs(steps[0]) * lateral, abs(steps[1]) * lateral) if lateral else None
     maps, others = [], []
     for k, name in enumerate(names):
         is_length = layers == 1 or any(word in name.lower() for word in LENGTH_CHANNELS)
-        vertical = length_um(unit_z) if unit_z else None
+        vertical = surface.length_um(unit_z) if unit_z else None
         if not is_length or (unit_z and vertical is None):
             others.append(f'"{name}"')
             continue
-        check_unit(path, options, unit_z)
-        factor = asked_unit(path, options) if vertical is None else vertical
-        apart = asked_pitch(path, options) if pitch is None else pitch
-        maps.append(height_map(path, values[k][::-1].astype(float) * factor, apart, name))
-    return chosen(path, maps, others, options)
+        surface.check_unit(path, options, unit_z)
+        factor = vertical or surface.requested_unit(path, options)
+        heights = values[k][::-1].astype(float) * factor
+        maps.append(surface.height_map(path, heights, pitch or surface.requested_pitch(path, options), name))
+    return surface.chosen(path, maps, others, options)
 
 
 def _labels(data: bytes, sizes: list[int], layers: int) -> list[str]:
@@ -374,11 +349,11 @@ def read_topostats(path: Path, options: ReadOptions) -> list[Measurement]:
         name, image = next(((n, d) for n in TOPOSTATS_IMAGES if (d := dataset(file, n)) is not None), ("", None))
         if scale is None or image is None or image.ndim != 2:
             raise ValueError("it holds no image with pixel_to_nm_scaling")
-        check_unit(path, options, "nm")
+        surface.check_unit(path, options, "nm")
         pitch = float(np.ravel(scale[()])[0]) * 1e-3
         heights = np.asarray(image[()], dtype=float) * 1e-3
-    left = [other for other in TOPOSTATS_IMAGES if other != name]
-    return [height_map(path, heights, (pitch, pitch), name, left_out=left)]
+    left_out = [other for other in TOPOSTATS_IMAGES if other != name]
+    return [surface.height_map(path, heights, (pitch, pitch), name, left_out=left_out)]
 
 
 # Classic NetCDF files (.nc) with one two-dimensional variable of heights over x and y, as SurfaceTopography writes.
@@ -393,12 +368,9 @@ def sniff_netcdf(head: FileHead) -> float:
     return CERTAIN if b"height" in head.data else LIKELY
 
 
-def _text(value: Any) -> str:
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-
-
 def _unit(variable: Any) -> str:
-    return _text(getattr(variable, "unit", getattr(variable, "units", "")))
+    value = getattr(variable, "unit", getattr(variable, "units", ""))
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
 def read_netcdf(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -411,26 +383,24 @@ def read_netcdf(path: Path, options: ReadOptions) -> list[Measurement]:
             if len(variable.dimensions) != 2:
                 continue
             unit = _unit(variable)
-            factor = length_um(unit) if unit else asked_unit(path, options)
+            factor = surface.length_um(unit) if unit else surface.requested_unit(path, options)
             if factor is None:
                 others.append(f'"{name}" in {unit}')
                 continue
-            check_unit(path, options, unit)
+            surface.check_unit(path, options, unit)
             is_x_first = variable.dimensions[0].lower().startswith("x")
             values = np.array(variable[:], dtype=float) * factor
             axes = [variable.dimensions[k] for k in ((0, 1) if is_x_first else (1, 0))]
             values = values.T if is_x_first else values
-            pitch = [_pitch_um(file.variables.get(axis), axis, count) for axis, count in zip(axes, values.shape[::-1])]
-            pair = (pitch[0], pitch[1]) if None not in pitch else asked_pitch(path, options)
-            if None in pair:
-                raise NacreError(f"{path}: states no positions of its points")
-            maps.append(height_map(path, values, (float(pair[0] or 0), float(pair[1] or 0)), name))
-    return chosen(path, maps, others, options)
+            x, y = (_pitch_um(file.variables.get(axis), axis, count) for axis, count in zip(axes, values.shape[::-1]))
+            pitch = surface.requested_pitch(path, options) if x is None or y is None else (x, y)
+            maps.append(surface.height_map(path, values, pitch, name))
+    return surface.chosen(path, maps, others, options)
 
 
 def _pitch_um(axis: Any, name: str, count: int) -> float | None:
     """Return the point distance from the length of the axis or its positions."""
-    unit = None if axis is None else length_um(_unit(axis))
+    unit = None if axis is None else surface.length_um(_unit(axis))
     if axis is None or unit is None:
         return None
     length = getattr(axis, "length", None)
@@ -466,32 +436,25 @@ def read_bcr(path: Path, options: ReadOptions) -> list[Measurement]:
     data = path.read_bytes()
     encoding = _encoding(data)
     width = 2 if encoding == "utf-16-le" else 1
-    keys = _keys(data[: 8192 * width].decode(encoding, "replace"))
+    head = data[: 8192 * width].decode(encoding, "replace").lstrip("\ufeff")
+    lines = [line for line in head.splitlines() if not line.startswith(("%", "#"))]
+    keys = surface.key_values(lines, "=", is_lower=True)
     start = int(keys["headersize"]) * width
     kind = next((form for name, form in KINDS.items() if keys[BCR_FIRST].startswith(name)), None)
     if kind is None:
         raise ValueError(f"its format is {keys[BCR_FIRST][:30]}")
     order = ">" if keys.get("intelmode", "1") == "0" else "<"
     shape = int(keys["ypixels"]), int(keys["xpixels"])
-    values = array(data, order + kind, shape, start).astype(float)
+    values = surface.array(data, order + kind, shape, start).astype(float)
     values[values >= VOID[kind]] = np.nan
-    units = [length_um(keys.get(f"{axis}unit", "nm")) for axis in "xyz"]
+    units = [surface.length_um(keys.get(f"{axis}unit", "nm")) for axis in "xyz"]
     if None in units:
         raise NacreError(f"{path}: its axes are in {', '.join(keys.get(f'{a}unit', 'nm') for a in 'xyz')}, no lengths")
-    check_unit(path, options, keys.get("zunit", "nm"))
+    surface.check_unit(path, options, keys.get("zunit", "nm"))
     x, y, z = (float(unit or 0.0) for unit in units)
     pitch = float(keys["xlength"]) * x / shape[1], float(keys["ylength"]) * y / shape[0]
     scale = float(keys.get("bit2nm", 1.0)) if kind == "i2" else 1.0
-    return [height_map(path, values * scale * z, pitch)]
-
-
-def _keys(text: str) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for line in text.lstrip("\ufeff").splitlines():
-        name, equals, value = line.partition("=")
-        if equals and not line.startswith(("%", "#")):
-            found.setdefault(name.strip().lower(), value.strip())
-    return found
+    return [surface.height_map(path, values * scale * z, pitch)]
 
 
 # Text maps with a head of keys: SPIP and Attocube (`x-pixels`, `x-length`), and Nova of NT-MDT (`NX`, `Scale X`).
@@ -521,9 +484,9 @@ def read_spip(path: Path, options: ReadOptions) -> list[Measurement]:
     text = surface.whole_text(path)
     keys, rows = _parts(text)
     shape = _count(keys, "y-pixels", "ny"), _count(keys, "x-pixels", "nx")
-    check_shape(shape)
+    surface.check_shape(shape)
     count = shape[0] * shape[1]
-    values = numbers("\n".join(rows) + "\n", path)
+    values = surface.numbers("\n".join(rows) + "\n", path)
     void = int(keys.get("voidpixels") or 0)
     if values.size not in (count, 2 * count) or (values.size == 2 * count) != bool(void):
         raise ValueError(f"its head states {shape[0]} x {shape[1]} heights, and {values.size} numbers follow")
@@ -531,7 +494,7 @@ def read_spip(path: Path, options: ReadOptions) -> list[Measurement]:
     if void:
         heights[values[count:].reshape(shape) != 0] = np.nan
     name = keys.get("display", keys.get("channel name", ""))
-    return [height_map(path, heights, _pitch(path, keys, shape, options), name)]
+    return [surface.height_map(path, heights, _pitch(path, keys, shape, options), name)]
 
 
 def _parts(text: str) -> tuple[dict[str, str], list[str]]:
@@ -541,23 +504,23 @@ def _parts(text: str) -> tuple[dict[str, str], list[str]]:
     for place, line in enumerate(lines):
         if START.match(line):
             return keys, lines[place + 1 :]
-        found = SPIP_KEY.match(line[:LONGEST])
-        if found:
-            keys[found[1].lower()] = found[2]
+        match = SPIP_KEY.match(line[:LONGEST])
+        if match:
+            keys[match[1].lower()] = match[2]
         elif re.match(r"\s*[-+.\d]", line):
             return keys, lines[place:]
     return keys, []
 
 
 def _count(keys: dict[str, str], *names: str) -> int:
-    found = next((keys[name] for name in names if name in keys), None)
-    if found is None:
+    text = next((keys[name] for name in names if name in keys), None)
+    if text is None:
         raise ValueError(f"its head lacks {names[0]}")
-    return int(found)
+    return int(text)
 
 
 def _length(path: Path, unit: str) -> float:
-    factor = length_um(unit)
+    factor = surface.length_um(unit)
     if factor is None:
         raise NacreError(f"{path}: is a map of values in {unit[:20]}; heights are lengths")
     return factor
@@ -566,13 +529,13 @@ def _length(path: Path, unit: str) -> float:
 def _factor(path: Path, keys: dict[str, str], options: ReadOptions) -> float:
     """Return um per value."""
     unit = keys.get("z-unit") or keys.get("unit data")
-    check_unit(path, options, unit or ("nm" if "bit2nm" in keys else ""))
+    surface.check_unit(path, options, unit or ("nm" if "bit2nm" in keys else ""))
     if unit:
         is_scaled = keys.get("datascaleneeded", "no").lower() == "yes"
         return _length(path, unit) * (float(keys.get("scale data", 1.0)) if is_scaled else 1.0)
     if "bit2nm" in keys:
         return float(keys["bit2nm"]) * 1e-3
-    return asked_unit(path, options)
+    return surface.requested_unit(path, options)
 
 
 def _pitch(path: Path, keys: dict[str, str], shape: tuple[int, int], options: ReadOptions) -> tuple[float, float]:
@@ -582,11 +545,9 @@ def _pitch(path: Path, keys: dict[str, str], shape: tuple[int, int], options: Re
         sides = [abs(float(keys[f"{axis}-length"])) * _length(path, unit or "nm") for axis, unit in zip("xy", units)]
         return sides[0] / shape[1], sides[1] / shape[0]
     if "scale x" in keys and units[0]:
-        steps = [
-            abs(float(keys.get(f"scale {axis}", keys["scale x"]))) * _length(path, u) for axis, u in zip("xy", units)
-        ]
-        return steps[0], steps[1]
-    return asked_pitch(path, options)
+        steps = [abs(float(keys.get(f"scale {axis}", keys["scale x"]))) for axis in "xy"]
+        return steps[0] * _length(path, units[0]), steps[1] * _length(path, units[1])
+    return surface.requested_pitch(path, options)
 
 
 # Gwyddion's files: native (.gwy), ASCII matrix, and Simple Field (.gsf).
@@ -611,10 +572,9 @@ class _Tree:
         self.data, self.position = data, position
 
     def text(self) -> str:
-        end = self.data.index(b"\0", self.position)
-        found = self.data[self.position : end].decode("utf-8", "replace")
-        self.position = end + 1
-        return found
+        raw = self.data[self.position : self.data.index(b"\0", self.position)]
+        self.position += len(raw) + 1
+        return raw.decode("utf-8", "replace")
 
     def number(self, form: str) -> Any:
         (value,) = struct.unpack_from(form, self.data, self.position)
@@ -623,15 +583,14 @@ class _Tree:
 
     def object(self, depth: int = 0) -> dict[str, Any]:
         self.text()
-        size = self.number("<I")
-        end = self.position + size
+        end = self.number("<I") + self.position
         if end > len(self.data) or depth > DEEPEST:
             raise ValueError("an object is longer than the file")
-        found: dict[str, Any] = {}
+        components: dict[str, Any] = {}
         while self.position < end:
             name = self.text()
-            found[name] = self.component(chr(self.number("<B")), depth)
-        return found
+            components[name] = self.component(chr(self.number("<B")), depth)
+        return components
 
     def component(self, kind: str, depth: int) -> Any:
         if kind in NUMBERS:
@@ -664,8 +623,8 @@ def read_gwy(path: Path, options: ReadOptions) -> list[Measurement]:
             others.append(f'"{name}" in {units[1]}')
             continue
         if all(units):
-            check_unit(path, options, units[1])
-        lateral, vertical = (surface.length_um(u) if u else surface.asked_unit(path, options) for u in units)
+            surface.check_unit(path, options, units[1])
+        lateral, vertical = (surface.length_um(u) if u else surface.requested_unit(path, options) for u in units)
         if lateral is None or vertical is None:
             others.append(f'"{name}" over {units[0]}')
             continue
@@ -684,13 +643,8 @@ SIZE = re.compile(r"[-+]?[\d.,]+(?:[eE][-+]?\d+)?\s*\S{1,3}$")
 
 
 def _remarks(lines: list[str]) -> list[tuple[str, str]]:
-    found = []
-    for line in lines:
-        matched = REMARK.match(line)
-        if matched is None:
-            break
-        found.append((matched[1].strip(), matched[2]))
-    return found
+    matches = takewhile(bool, map(REMARK.match, lines))
+    return [(match[1].strip(), match[2]) for match in matches if match]
 
 
 def sniff_gwyddion_text(head: FileHead) -> float:
@@ -714,8 +668,7 @@ def read_gwyddion_text(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: rows differ in their length, or no block holds lengths.
     """
     text = surface.whole_text(path)
-    maps: list[Measurement] = []
-    others: list[str] = []
+    maps, others = [], []
     for lines in _blocks(text.splitlines()):
         remarks = _remarks(lines)
         width, height = (surface.quantity_um(v) for _, v in remarks if _is_length(v))
@@ -723,14 +676,14 @@ def read_gwyddion_text(path: Path, options: ReadOptions) -> list[Measurement]:
         name, unit = (texts[0] if texts else ""), (texts[-1] if len(texts) > 1 else "")
         rows = [line for line in lines[len(remarks) :] if line.strip() and not line.startswith("#")]
         values = surface.matrix(rows, path)
-        factor = surface.length_um(unit) if unit else surface.asked_unit(path, options)
+        factor = surface.length_um(unit) if unit else surface.requested_unit(path, options)
         if factor is None:
             others.append(f'"{name}" in {unit}')
             continue
-        check_unit(path, options, unit)
+        surface.check_unit(path, options, unit)
         pitch = width / values.shape[1], height / len(rows)
-        left = [f"channel {other}" for other in others]
-        maps.append(surface.height_map(path, values * factor, pitch, name, left_out=left))
+        left_out = [f"channel {other}" for other in others]
+        maps.append(surface.height_map(path, values * factor, pitch, name, left_out=left_out))
     return surface.chosen(path, maps, others, options)
 
 
@@ -765,16 +718,15 @@ def read_gsf(path: Path, options: ReadOptions) -> list[Measurement]:
     keys = {name.strip(): value.strip() for name, _, value in (line.partition("=") for line in lines)}
     shape = int(keys["YRes"]), int(keys["XRes"])
     units = [keys.get(name, "") for name in ("XYUnits", "ZUnits")]
-    factors = [surface.length_um(unit) if unit else None for unit in units]
-    if any(unit and factor is None for unit, factor in zip(units, factors, strict=True)):
+    lateral, vertical = (surface.length_um(unit) for unit in units)
+    if (units[0] and lateral is None) or (units[1] and vertical is None):
         raise NacreError(f"{path}: is a map of {units[1] or '?'} over {units[0] or '?'}; heights are lengths")
-    check_unit(path, options, units[1])
-    vertical = surface.asked_unit(path, options) if factors[1] is None else factors[1]
+    surface.check_unit(path, options, units[1])
+    vertical = vertical or surface.requested_unit(path, options)
     sides = [float(keys.get(name, 1.0)) for name in ("XReal", "YReal")]
-    lateral = factors[0]
-    pitch = (
-        surface.asked_pitch(path, options) if lateral is None
-        else (sides[0] * lateral / shape[1], sides[1] * lateral / shape[0])
-    )  # fmt: skip
+    if lateral is None:
+        pitch = surface.requested_pitch(path, options)
+    else:
+        pitch = sides[0] * lateral / shape[1], sides[1] * lateral / shape[0]
     heights = surface.array(data, "<f4", shape, end + 4 - end % 4).astype(float) * vertical
     return [surface.height_map(path, heights, pitch, keys.get("Title", ""))]

@@ -3,7 +3,7 @@
 import math
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -128,6 +128,19 @@ def numbers(text: str, path: Path) -> Array:
         raise NacreError(f"{path}: {' '.join(str(error).split())[:80]} in the matrix of heights") from None
 
 
+def key_values(lines: Iterable[str], mark: str, *, is_last: bool = False, is_lower: bool = False) -> dict[str, str]:
+    """Return the values of lines `key mark value`; of a repeated key the first one, or the last.
+
+    Args:
+        is_lower: whether keys are returned in lower case.
+    """
+    pairs = [line.partition(mark) for line in lines if mark in line]
+    return {
+        (name.lower() if is_lower else name).strip(): value.strip()
+        for name, _, value in (pairs if is_last else pairs[::-1])
+    }
+
+
 def decoded(data: bytes) -> str:
     """Return text in UTF-8, UTF-16 with a mark, or, failing that, Latin-1."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -163,7 +176,7 @@ def check_end(text: str, path: Path) -> None:
         raise NacreError(f"{path}: ends within a number")
 
 
-def asked_unit(path: Path, options: ReadOptions, what: str = "heights") -> float:
+def requested_unit(path: Path, options: ReadOptions, what: str = "heights") -> float:
     """Return the unit of the option `unit` in um.
 
     Raises:
@@ -187,11 +200,11 @@ def check_unit(path: Path, options: ReadOptions, stated: str) -> None:
         NacreError: the units differ.
     """
     factor = length_um(stated)
-    if factor is not None and options.unit is not None and not math.isclose(asked_unit(path, options), factor):
+    if factor is not None and options.unit is not None and not math.isclose(requested_unit(path, options), factor):
         raise contradiction(path, "unit", options.unit, stated.strip())
 
 
-def asked_pitch(path: Path, options: ReadOptions) -> tuple[float, float]:
+def requested_pitch(path: Path, options: ReadOptions) -> tuple[float, float]:
     """Return the option `pitch_um`.
 
     Raises:
@@ -219,7 +232,8 @@ def height_map(
         ValueError: the pitch or the heights are not plausible.
     """
     pitch = float(pitch_um[0]), float(pitch_um[1])
-    check_pitch(pitch)
+    if not all(1e-6 <= p <= 1e6 for p in pitch):  # no instrument has a finer or coarser one
+        raise ValueError(f"its points are {pitch[0]:g} x {pitch[1]:g} um apart")
     heights = np.ma.filled(np.ma.asarray(heights_um).astype(float), np.nan)
     check_shape((heights.shape[0], heights.shape[1]))
     if min(heights.shape) == 1:
@@ -235,16 +249,6 @@ def height_map(
         assumed = (*assumed, f"the points are {pitch[0]:.4g} x {pitch[1]:.4g} um apart, as the file says: not square")
     facts = {"pitch_um": pitch, "holes": holes, **figures, **(metadata or {})}
     return Measurement(path, "heights", {"height_um": heights}, name, facts, tuple(assumed), tuple(left_out))
-
-
-def check_pitch(pitch_um: tuple[float, float]) -> None:
-    """Refuse a point distance that no instrument has.
-
-    Raises:
-        ValueError: not between 1 pm and 1 m.
-    """
-    if not all(1e-6 <= p <= 1e6 for p in pitch_um):
-        raise ValueError(f"its points are {pitch_um[0]:g} x {pitch_um[1]:g} um apart")
 
 
 def chosen(path: Path, maps: Sequence[Measurement], others: Sequence[str], options: ReadOptions) -> list[Measurement]:
@@ -296,26 +300,22 @@ class Roughness:
 
 def plane(heights: NDArray[Any]) -> tuple[float, float, float]:
     """Return mean, slope per row and slope per column of the least-squares plane; holes do not count."""
-    rows, columns = heights.shape
-    r = np.arange(rows) - 0.5 * (rows - 1)
-    c = np.arange(columns) - 0.5 * (columns - 1)
-    seen = np.isfinite(heights)
-    if seen.all():
+    r, c = (np.arange(count) - 0.5 * (count - 1) for count in heights.shape)
+    is_known = np.isfinite(heights)
+    if is_known.all():
         mean = float(heights.mean())
         by_row = float(r @ heights.mean(axis=1) / max(r @ r, 1e-300))
         by_column = float(c @ heights.mean(axis=0) / max(c @ c, 1e-300))
         return mean, by_row, by_column
-    row, column = np.nonzero(seen)
+    row, column = np.nonzero(is_known)
     matrix = np.stack([np.ones(len(row)), r[row], c[column]], axis=1)
-    solved = np.linalg.lstsq(matrix, heights[seen], rcond=None)[0]
-    return float(solved[0]), float(solved[1]), float(solved[2])
+    mean, by_row, by_column = map(float, np.linalg.lstsq(matrix, heights[is_known], rcond=None)[0])
+    return mean, by_row, by_column
 
 
 def without_plane(heights: NDArray[Any], fitted: tuple[float, float, float]) -> Array:
     """Return heights above a plane fitted by `plane`."""
-    rows, columns = heights.shape
-    r = np.arange(rows) - 0.5 * (rows - 1)
-    c = np.arange(columns) - 0.5 * (columns - 1)
+    r, c = (np.arange(count) - 0.5 * (count - 1) for count in heights.shape)
     mean, by_row, by_column = fitted
     return np.asarray(heights - (mean + by_row * r[:, None] + by_column * c[None, :]))
 
@@ -364,15 +364,17 @@ def autocovariance(flat: Array) -> Array:
     Holes do not count.
     """
     shape = tuple(scipy.fft.next_fast_len(2 * n, real=True) for n in flat.shape)
-    seen = np.isfinite(flat)
-    spectrum = scipy.fft.rfft2(np.where(seen, flat, 0.0).astype(np.float32), shape)
-    total = scipy.fft.irfft2((spectrum * spectrum.conj()).real, shape)
-    if seen.all():
+
+    def correlated(values: Array) -> Array:
+        spectrum = scipy.fft.rfft2(values.astype(np.float32), shape)
+        return np.asarray(scipy.fft.irfft2((spectrum * spectrum.conj()).real, shape))
+
+    is_known = np.isfinite(flat)
+    total = correlated(np.where(is_known, flat, 0.0))
+    if is_known.all():
         counts = [np.maximum(n - np.abs(np.fft.fftfreq(m, 1.0 / m)), 1.0) for n, m in zip(flat.shape, shape)]
         return np.asarray(total / (counts[0][:, None] * counts[1]).astype(np.float32))
-    spectrum = scipy.fft.rfft2(seen.astype(np.float32), shape)
-    count = scipy.fft.irfft2((spectrum * spectrum.conj()).real, shape)
-    return np.asarray(total / np.maximum(count, 1.0))
+    return np.asarray(total / np.maximum(correlated(is_known), 1.0))
 
 
 def correlation_length_um(flat: Array, pitch_um: tuple[float, float]) -> float | None:
@@ -388,12 +390,13 @@ def correlation_length_um(flat: Array, pitch_um: tuple[float, float]) -> float |
     half = part.shape[0] // 2, part.shape[1] // 2
     rows = np.abs(np.fft.fftfreq(covariance.shape[0], 1.0 / covariance.shape[0]))
     # columns from 0 are enough: the autocovariance is even
-    kept = covariance[rows < max(half[0], 1)][:, : max(half[1], 1)]
-    lag = np.hypot(rows[rows < max(half[0], 1)][:, None] * pitch_um[1], np.arange(kept.shape[1]) * pitch_um[0])
+    is_near = rows < max(half[0], 1)
+    near = covariance[is_near][:, : max(half[1], 1)]
+    lag = np.hypot(rows[is_near][:, None] * pitch_um[1], np.arange(near.shape[1]) * pitch_um[0])
     step = min(pitch_um)
     ring = np.round(lag / step).astype(np.int64).ravel()
     count = np.bincount(ring)
-    mean = np.bincount(ring, kept.ravel()) / np.maximum(count, 1)
+    mean = np.bincount(ring, near.ravel()) / np.maximum(count, 1)
     radius = np.bincount(ring, lag.ravel()) / np.maximum(count, 1)
     used = count > 0
     ratio, radius = (mean / covariance[0, 0])[used], radius[used]
@@ -408,20 +411,19 @@ def correlation_length_um(flat: Array, pitch_um: tuple[float, float]) -> float |
 # One height map of a file of any format of this folder.
 
 
-def read_map(path: str | Path, options: ReadOptions | None = None) -> Measurement:
+def read_map(path: str | Path, options: ReadOptions) -> Measurement:
     """Read the one height map of a file; other kinds of files that a text may be are not considered.
 
     Raises:
         NacreError: no height map, or a damaged one.
         AmbiguousFileError: a unit, the pitch or the channel is not known; `option` names it.
     """
-    options = options or ReadOptions()
-    found = recognise(path)
-    maps = [entry for _, entry in found if entry.kind == "heights"]
-    if found and found[0][1].id == "other":
+    candidates = recognise(path)
+    maps = [entry for _, entry in candidates if entry.kind == "heights"]
+    if candidates and candidates[0][1].id == "other":
         open_file(path, options)  # refuses it by name
-    if not maps or (found[0][1].kind != "heights" and found[0][0] >= 1.0):
-        what = f"is {found[0][1].title}, " if found else "is "
+    if not maps or (candidates[0][1].kind != "heights" and candidates[0][0] >= 1.0):
+        what = f"is {candidates[0][1].title}, " if candidates else "is "
         raise NacreError(f"{path}: {what}no height map that nacre reads; export it as .sdf, .gwy or text matrix")
     measured = open_file(path, replace(options, format=options.format or maps[0].id))
     if len(measured) > 1:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.heights import surface
-from nacre.readers.heights.surface import array, asked_unit, decoded, height_map, numbers
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, LIKELY, POSSIBLE, FileHead
 
@@ -43,7 +42,7 @@ def read_nacre_heights(path: Path, options: ReadOptions) -> list[Measurement]:
     stated = START.match(head)
     surface.check_unit(path, options, "um")
     feature_um = float(stated[1]) if stated and stated[1] else _described(path)
-    pitch = (feature_um, feature_um) if feature_um else surface.asked_pitch(path, options)
+    pitch = (feature_um, feature_um) if feature_um else surface.requested_pitch(path, options)
     return [surface.height_map(path, surface.matrix(rows, path).T[::-1], pitch, metadata={"is_period": True})]
 
 
@@ -157,7 +156,7 @@ def read_xyz(path: Path, options: ReadOptions) -> list[Measurement]:
     x, y, z = values.reshape(-1, 3).T
     named = _units(heading)
     missing_units = [axis for axis, unit in zip("xyz", named, strict=True) if unit is None]
-    asked = surface.asked_unit(path, options, " and ".join(missing_units)) if missing_units else 1.0
+    asked = surface.requested_unit(path, options, " and ".join(missing_units)) if missing_units else 1.0
     if not missing_units:
         surface.check_unit(path, options, UNIT.findall(heading)[-1])
     factors = [asked if unit is None else unit for unit in named]
@@ -267,9 +266,9 @@ def read_matrix(path: Path, options: ReadOptions) -> list[Measurement]:
     text = surface.whole_text(path)
     rows = _rows(text)
     values = surface.matrix(rows, path)
-    steps, factor = _coordinate_steps(values), surface.asked_unit(path, options)
+    steps, factor = _coordinate_steps(values), surface.requested_unit(path, options)
     if steps is None:
-        return [surface.height_map(path, values * factor, surface.asked_pitch(path, options))]
+        return [surface.height_map(path, values * factor, surface.requested_pitch(path, options))]
     said = f"the first row and column are coordinates in steps of {steps[0]:g} and {steps[1]:g}"
     if options.pitch_um is None:
         raise AmbiguousFileError(f"{path}: {said} without a unit; state the steps in um: pitch_um", "pitch_um")
@@ -345,10 +344,10 @@ def read_grid(path: Path, options: ReadOptions) -> list[Measurement]:
     data = path.read_bytes()
     layout = {b"DSAA": _surfer_text, b"DSBB": _surfer_6, b"DSRB": _surfer_7}.get(data[:4], _esri)
     heights, steps = layout(path, data)
-    unit = asked_unit(path, options)
+    unit = surface.requested_unit(path, options)
     pitch = options.pitch_um or (steps[0] * unit, steps[1] * unit)
     assumed = () if options.pitch_um else ("x and y have the unit of the heights",)
-    return [height_map(path, heights * unit, pitch, assumed=assumed)]
+    return [surface.height_map(path, heights * unit, pitch, assumed=assumed)]
 
 
 def _steps(shape: tuple[int, int], x: tuple[float, float], y: tuple[float, float]) -> tuple[float, float]:
@@ -362,14 +361,14 @@ def _upright(rows: NDArray[Any], blank: float = BLANK) -> NDArray[Any]:
 
 
 def _surfer_text(path: Path, data: bytes) -> tuple[NDArray[Any], tuple[float, float]]:
-    found = numbers(decoded(data)[4:], path)
+    found = surface.numbers(surface.decoded(data)[4:], path)
     shape = int(found[1]), int(found[0])
     return _upright(surface.shaped(found[8:], shape)), _steps(shape, (found[2], found[3]), (found[4], found[5]))
 
 
 def _surfer_6(path: Path, data: bytes) -> tuple[NDArray[Any], tuple[float, float]]:
     columns, rows, *ends = struct.unpack_from("<2h6d", data, 4)
-    return _upright(array(data, "<f4", (rows, columns), 56)), _steps(
+    return _upright(surface.array(data, "<f4", (rows, columns), 56)), _steps(
         (rows, columns), (ends[0], ends[1]), (ends[2], ends[3])
     )
 
@@ -385,7 +384,7 @@ def _surfer_7(path: Path, data: bytes) -> tuple[NDArray[Any], tuple[float, float
             rows, columns, _, _, step_x, step_y, _, _, turn, blank = grid
             if turn != 0.0:
                 raise NacreError(f"{path}: the grid is turned by {turn:g} degrees, which is not read")
-            return _upright(array(data, "<f8", (rows, columns), at), blank), (step_x, step_y)
+            return _upright(surface.array(data, "<f8", (rows, columns), at), blank), (step_x, step_y)
         if size < 0:
             break
         at += size
@@ -393,10 +392,10 @@ def _surfer_7(path: Path, data: bytes) -> tuple[NDArray[Any], tuple[float, float
 
 
 def _esri(path: Path, data: bytes) -> tuple[NDArray[Any], tuple[float, float]]:
-    text, head = decoded(data).replace("\r\n", "\n"), {}
+    text, head = surface.decoded(data).replace("\r\n", "\n"), {}
     while line := _ESRI_HEAD.match(text):
         head[line[1].lower()], text = float(line[2]), text[line.end() :]
-    heights = surface.shaped(numbers(text, path), (int(head["nrows"]), int(head["ncols"])))
+    heights = surface.shaped(surface.numbers(text, path), (int(head["nrows"]), int(head["ncols"])))
     heights[heights == head.get("nodata_value", -9999.0)] = np.nan
     step = head.get("cellsize")
     if step is None and not {"dx", "dy"} <= head.keys():
