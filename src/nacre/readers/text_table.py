@@ -83,6 +83,11 @@ def _decode_bytes(data: bytes) -> str:
     return data.decode("latin-1")
 
 
+def c_string(raw: bytes) -> str:
+    """Return the text in a field of fixed length, which a NUL character ends."""
+    return raw.split(b"\0")[0].decode("latin-1").strip()
+
+
 def load_bytes(path: Path, memory_factor: float = 1.0, limit: int = MAX_BYTES) -> bytes:
     """Return a file's content.
 

@@ -1,5 +1,8 @@
 """Text, numbers, quantities and units in files of spectrometers."""
 
+from __future__ import annotations
+
+import contextlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,20 +26,17 @@ RATIOS = QUANTITIES[:4]
 SCALED = ("reflectance (%)", "reflectance (1)", *QUANTITIES[1:])  # choices if the scale is not stated either
 
 # the first pattern that a label in lower case contains decides
-_QUANTITIES: tuple[tuple[str, re.Pattern[str]], ...] = tuple(
-    (name, re.compile(pattern))
-    for name, pattern in (
-        ("error", r"variance|std|stdev|sigma|uncertain|error|deviation|^u\(|^sd$|^±|^[dδ]\s?[rta]$"),
-        ("kubelka_munk", r"kubelka|k/s|^km$"),
-        ("absorptance", r"absorptance"),
-        ("absorbance", r"absorban|absorb\b|log\s*\(?\s*1\s*/\s*[rt]|^abs\b|^m?abs$|^a$|^a\.u\.$|^m?od$|^mau$|"
-                       r"optical density|extin[ck]t|absorption|吸光度"),
-        ("irradiance", r"irradiance|radiance|[uµμm]?w\s*/\s*(?:cm|m)|[uµμ]w|luminous|bestrahlung"),
-        ("counts", r"counts?\b|\bcnts?\b|^scope|\bintens|intensit|^adc|^dark$|^dn\b|single[ -]?beam|^raw\b|^energy"),
-        ("reflectance", r"reflect|r[ée]fle[ck]|rfl|^%?\s*r\s*%?$|^r\s*[\[(]?\s*%|^%\s*r\b|反射率|\bbrf\b|^refl"),
-        ("transmittance", r"transmi|^%?\s*t\s*%?$|^t\s*[\[(]?\s*%|^%\s*t\b|透過率|^trans\b"),
-    )
-)  # fmt: skip
+_QUANTITIES = {
+    "error": r"variance|std|stdev|sigma|uncertain|error|deviation|^u\(|^sd$|^±|^[dδ]\s?[rta]$",
+    "kubelka_munk": r"kubelka|k/s|^km$",
+    "absorptance": r"absorptance",
+    "absorbance": r"absorban|absorb\b|log\s*\(?\s*1\s*/\s*[rt]|^abs\b|^m?abs$|^a$|^a\.u\.$|^m?od$|^mau$|"
+    r"optical density|extin[ck]t|absorption|吸光度",
+    "irradiance": r"irradiance|radiance|[uµμm]?w\s*/\s*(?:cm|m)|[uµμ]w|luminous|bestrahlung",
+    "counts": r"counts?\b|\bcnts?\b|^scope|\bintens|intensit|^adc|^dark$|^dn\b|single[ -]?beam|^raw\b|^energy",
+    "reflectance": r"reflect|r[ée]fle[ck]|rfl|^%?\s*r\s*%?$|^r\s*[\[(]?\s*%|^%\s*r\b|反射率|\bbrf\b|^refl",
+    "transmittance": r"transmi|^%?\s*t\s*%?$|^t\s*[\[(]?\s*%|^%\s*t\b|透過率|^trans\b",
+}
 _PER_CENT = re.compile(r"%|per ?cent|prozent|pour ?cent|por ?ciento")
 _FACTOR = re.compile(r"[\[(]\s*(?:1|0-1|-)\s*[\])]|factor\b|fraction")
 # functions of a reflectance, and scales that are not read
@@ -55,22 +55,19 @@ _OTHER_QUANTITY = re.compile(
 )
 _POWER = re.compile(r"reflect|r[ée]fle[ck]|transmi|absorptance|(?<![a-z])[rt](?![a-z])|反射率|透過率")
 _LOG_INVERSE = re.compile(r"log\s*\(?\s*1\s*/\s*[rt]")  # absorbance
-_UNITS: tuple[tuple[str, re.Pattern[str]], ...] = tuple(
-    (unit, re.compile(pattern))
-    for unit, pattern in (
-        ("1/cm", r"cm\s*\^?-\s*1|cm⁻|1/cm|wave ?number|wellenzahl|nombre d'onde|kayser"),
-        ("nm", r"\bnm\b|nanomet|ナノ|^wave ?length$|^lambda$|nm\.?$"),
-        ("um", r"\b[uµμ]m\b|micromet|micron"),
-        ("angstrom", r"angstr|å"),
-        ("eV", r"\bev\b|electron.?volt"),
-    )
-)
+_UNITS = {
+    "1/cm": r"cm\s*\^?-\s*1|cm⁻|1/cm|wave ?number|wellenzahl|nombre d'onde|kayser",
+    "nm": r"\bnm\b|nanomet|ナノ|^wave ?length$|^lambda$|nm\.?$",
+    "um": r"\b[uµμ]m\b|micromet|micron",
+    "angstrom": r"angstr|å",
+    "eV": r"\bev\b|electron.?volt",
+}
 # specular component included, excluded, or measured alone
-_GEOMETRIES: tuple[tuple[str, re.Pattern[str]], ...] = (
-    ("diffuse", re.compile(r"\bSCE\b|\bSPEX\b|(?i:specular[ -]?excluded)")),
-    ("total", re.compile(r"\bSCI\b|\bSPIN\b|(?i:specular[ -]?included|integrating sphere)")),
-    ("specular", re.compile(r"(?i:specular reflect)")),
-)
+_GEOMETRIES = {
+    "diffuse": r"\bSCE\b|\bSPEX\b|(?i:specular[ -]?excluded)",
+    "total": r"\bSCI\b|\bSPIN\b|(?i:specular[ -]?included|integrating sphere)",
+    "specular": r"(?i:specular reflect)",
+}
 _WHITE = re.compile(r"(?i)\bspectralon\b|\bWS-1(?:-SL)?\b|\bBaSO4\b|barium sulphate|barium sulfate")
 UNIT_CHOICES = ("nm", "um", "angstrom", "eV", "1/cm")
 
@@ -101,6 +98,10 @@ class Notes:
     assumed: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
 
+    def copy(self) -> Notes:
+        """Return the same sentences, to which others may be added."""
+        return Notes([*self.assumed], [*self.left_out])
+
 
 def read_lines(path: Path) -> list[str]:
     """Return the lines of a text file; see `text_table.load_text`."""
@@ -125,7 +126,7 @@ def blocks(lines: Sequence[str], least_rows: int = 2, least_columns: int = 1) ->
     def finish() -> None:
         if len(rows) >= least_rows:
             counts = [len(row) for row in rows]
-            width = max(set(counts), key=lambda count: (counts.count(count), count)) if counts else 0
+            width = max(set(counts), key=lambda count: (counts.count(count), count))
             wide = [row[:width] + [float("nan")] * (width - len(row)) for row in rows]
             if width >= least_columns:
                 is_cut = delimiters(lines[stop - 1], mark) < delimiters(lines[start], mark)
@@ -167,22 +168,22 @@ def first_block(path: Path, lines: Sequence[str]) -> Block:
     Raises:
         NacreError: the table is missing or cut.
     """
-    found = blocks(lines, least_columns=2)
-    if not found:
+    tables = blocks(lines, least_columns=2)
+    if not tables:
         raise NacreError(f"{path}: has no rows of two numbers")
-    complete(path, found[0])
-    return found[0]
+    complete(path, tables[0])
+    return tables[0]
 
 
-def key_values(lines: Sequence[str], marks: str = ":=\t") -> dict[str, str]:
+def key_values(lines: Sequence[str], marks: str) -> dict[str, str]:
     """Return `key: value` lines of a preamble, at most `MAX_METADATA`."""
-    found: dict[str, str] = {}
+    pairs: dict[str, str] = {}
     for line in lines:
         text = line.strip().strip('"').lstrip("#; ")
         match = re.match(rf"([^{re.escape(marks)}]{{2,60}})[{re.escape(marks)}]\s*(.+)", text)
-        if match and len(found) < MAX_METADATA and match[2].strip():
-            found.setdefault(match[1].strip(), match[2].strip()[:200])
-    return found
+        if match and len(pairs) < MAX_METADATA and match[2].strip():
+            pairs.setdefault(match[1].strip(), match[2].strip()[:200])
+    return pairs
 
 
 _MILLI = re.compile(r"\bm(?:au|abs|od)\b")
@@ -200,16 +201,19 @@ def label_of(text: str) -> Label | None:
     plain = text.strip().strip('"').strip()
     if plain in ("a", "r", "t"):  # symbols are capital letters; small ones name samples
         return None
-    low = " ".join(plain.lower().replace("_", " ").split())
-    for name, pattern in _QUANTITIES:
-        if pattern.search(low):
-            if name in ("reflectance", "transmittance", "absorptance"):
-                if has_other_scale(text):
-                    return None
-                is_per_cent = bool(_PER_CENT.search(low))
-                return Label(name, 0.01 if is_per_cent else 1.0 if _FACTOR.search(low) else None)
-            return Label(name, 1e-3 if name == "absorbance" and _MILLI.search(low) else 1.0)
-    return None
+    low = _lower(plain)
+    name = next((name for name, pattern in _QUANTITIES.items() if re.search(pattern, low)), None)
+    if name is None:
+        return None
+    if name in ("reflectance", "transmittance", "absorptance"):
+        if has_other_scale(text):
+            return None
+        return Label(name, 0.01 if _PER_CENT.search(low) else 1.0 if _FACTOR.search(low) else None)
+    return Label(name, 1e-3 if name == "absorbance" and _MILLI.search(low) else 1.0)
+
+
+def _lower(text: str) -> str:
+    return " ".join(text.strip().strip('"').lower().replace("_", " ").split())
 
 
 def has_other_scale(text: str) -> bool:
@@ -219,10 +223,9 @@ def has_other_scale(text: str) -> bool:
         >>> [has_other_scale(text) for text in ("Reflectance (dB)", "1-R", "R (a.u.)", "R (%)", "delta", "log(1/R)")]
         [True, True, True, False, False, False]
     """
-    low = " ".join(text.strip().strip('"').lower().replace("_", " ").split())
-    if _OTHER_QUANTITY.fullmatch(low):
-        return True
-    return bool(_OTHER_SCALE.search(low)) and bool(_POWER.search(low)) and not _LOG_INVERSE.search(low)
+    low = _lower(text)
+    is_function = _OTHER_SCALE.search(low) and _POWER.search(low) and not _LOG_INVERSE.search(low)
+    return bool(_OTHER_QUANTITY.fullmatch(low) or is_function)
 
 
 _X_KEY = re.compile(r"x(?:axis)?(?:units?|label)|axisunit1|xaxis|abscissa")
@@ -230,10 +233,6 @@ _Y_KEY = re.compile(
     r"y(?:axis)?(?:units?|label|type)|axis(?:unit|type)0|yaxis|ordinate|(?:data|spectrum|measurement|measuring|photometric)?"
     r"(?:type|mode)|measurement"
 )
-
-
-def _key(text: str) -> str:
-    return re.sub(r"[^a-z0-9]", "", text.lower())
 
 
 def stated_axes(lines: Sequence[str]) -> tuple[str | None, str]:
@@ -247,10 +246,12 @@ def stated_axes(lines: Sequence[str]) -> tuple[str | None, str]:
     words: list[str] = []
     for line in lines:
         match = re.fullmatch(r"[\s#%;]*([^:=\t,;]{1,40}?)\s*[:=\t,;]+\s*(\S.*?)[\s;,]*", line)
-        key = _key(match[1]) if match else ""
-        if match and _X_KEY.fullmatch(key):
+        if match is None:
+            continue
+        key = re.sub(r"[^a-z0-9]", "", match[1].lower())
+        if _X_KEY.fullmatch(key):
             unit = unit or unit_named(match[2])
-        elif match and _Y_KEY.fullmatch(key):
+        elif _Y_KEY.fullmatch(key):
             words.append(match[2])
     return unit, " ".join(words) if label_of(" ".join(words)) else ""
 
@@ -262,8 +263,8 @@ def unit_named(text: str) -> str | None:
         >>> unit_named("Wavelength (nm)"), unit_named("cm-1"), unit_named("MICROMETERS")
         ('nm', '1/cm', 'um')
     """
-    low = " ".join(text.strip().strip('"').lower().replace("_", " ").split())
-    return next((unit for unit, pattern in _UNITS if pattern.search(low)), None)
+    low = _lower(text)
+    return next((unit for unit, pattern in _UNITS.items() if re.search(pattern, low)), None)
 
 
 def option_unit(path: Path, options: ReadOptions) -> str | None:
@@ -291,12 +292,12 @@ def agreed_unit(path: Path, options: ReadOptions, stated: str | None, x: Array |
     Raises:
         NacreError: both state different units.
     """
-    given = option_unit(path, options)
-    if given is None or stated is None or given == stated:
-        return given or stated
+    requested = option_unit(path, options)
+    if requested is None or stated is None or requested == stated:
+        return requested or stated
     if x is not None and len(x) and x.min() > 0.0 and likely_unit(x, stated) is not None:
-        return given
-    raise contradiction(path, "unit", given, stated)
+        return requested
+    raise contradiction(path, "unit", requested, stated)
 
 
 def axis_unit(path: Path, options: ReadOptions, stated: str) -> str:
@@ -339,17 +340,17 @@ def agreed_label(
     Raises:
         NacreError: both state different ones.
     """
-    given = option_label(path, options)
-    if given is None or stated is None or stated.quantity not in RATIOS:
-        return given or stated
-    factors = {given.factor, stated.factor} - {None}
-    if given.quantity != stated.quantity or len(factors) > 1:
-        said = f'quantity = "{options.quantity}", but the file states {stated.quantity} ("{words.strip()[:40]}")'
+    requested = option_label(path, options)
+    if requested is None or stated is None or stated.quantity not in RATIOS:
+        return requested or stated
+    factors = {requested.factor, stated.factor} - {None}
+    if requested.quantity != stated.quantity or len(factors) > 1:
+        both = f'quantity = "{options.quantity}", but the file states {stated.quantity} ("{words.strip()[:40]}")'
         if notes is None:
-            raise NacreError(f"{path}: {said}; correct one of them")
-        notes.assumed.append(said)
-        return given
-    return stated if given.factor is None else given
+            raise NacreError(f"{path}: {both}; correct one of them")
+        notes.assumed.append(both)
+        return requested
+    return stated if requested.factor is None else requested
 
 
 def assumed_unit(path: Path, x: Array, notes: Notes, options: ReadOptions, name: str = "") -> str:
@@ -428,10 +429,9 @@ def scale(path: Path, label: Label, nm: Array, values: Array, notes: Notes) -> f
     Raises:
         AmbiguousFileError: values between 1.1 and 5, or above 1000.
     """
-    if label.factor is not None:
-        return label.factor
-    found = by_size(path, nm, values, notes, f"{label.quantity} without a unit", likely=label.quantity)
-    return found.factor or 1.0
+    if label.factor is None:
+        label = by_size(path, nm, values, notes, f"{label.quantity} without a unit", likely=label.quantity)
+    return label.factor or 1.0
 
 
 def spectrum(
@@ -464,22 +464,21 @@ def spectrum(
     label = option_label(path, options) or label
     nm = to_nm(x, option_unit(path, options) or unit)
     values = np.asarray(y, dtype=float)
-    kept = np.isfinite(nm)
-    if kept.sum() < 2:
-        raise NacreError(f"{path}: has {int(kept.sum())} points of a spectrum; at least 2 are needed")
-    if nm[kept].min() <= 0:
-        raise NacreError(f"{path}: has wavelengths down to {nm[kept].min():g} nm; they must be positive")
-    if not np.isfinite(values[kept]).any():
+    is_point = np.isfinite(nm)
+    if is_point.sum() < 2:
+        raise NacreError(f"{path}: has {int(is_point.sum())} points of a spectrum; at least 2 are needed")
+    if nm[is_point].min() <= 0:
+        raise NacreError(f"{path}: has wavelengths down to {nm[is_point].min():g} nm; they must be positive")
+    if not np.isfinite(values[is_point]).any():
         raise NacreError(f"{path}: has no finite value")
-    factor = scale(path, label, nm[kept], values[kept], notes)
-    order = np.flatnonzero(kept)[np.argsort(nm[kept], kind="stable")]
+    factor = scale(path, label, nm[is_point], values[is_point], notes)
+    order = np.flatnonzero(is_point)[np.argsort(nm[is_point], kind="stable")]
     data = {"wavelength_nm": nm[order], label.quantity: values[order] * factor}
     if error is not None:
         data[f"{label.quantity}_error"] = np.asarray(error, dtype=float)[order] * factor
     for key, column in (more or {}).items():
         data[key] = np.asarray(column, dtype=float)[order]
-    about = dict(metadata or {})
-    about = _geometry(about) | about
+    about = _geometry(metadata or {}) | dict(metadata or {})
     if factor == 0.01:
         about.setdefault("unit_in_file", "%")
     largest = float(np.nanmax(data[label.quantity]))
@@ -492,34 +491,33 @@ def spectrum(
 def _geometry(metadata: Mapping[str, Any]) -> dict[str, str]:
     """Return the geometry and the white reference that a preamble names, as `geometry` and `white_reference`."""
     text = "; ".join(f"{key}: {value}" for key, value in metadata.items() if isinstance(value, str))
-    found = {name: pattern.search(text) for name, pattern in _GEOMETRIES}
-    geometry = next((name for name, match in found.items() if match), None)
+    geometry = next((name for name, pattern in _GEOMETRIES.items() if re.search(pattern, text)), None)
     white = _WHITE.search(text)
     return ({"geometry": geometry} if geometry else {}) | ({"white_reference": white[0]} if white else {})
 
 
-def choose(path: Path, found: Sequence[Measurement], options: ReadOptions) -> list[Measurement]:
+def choose(path: Path, spectra: Sequence[Measurement], options: ReadOptions) -> list[Measurement]:
     """Return the measurements, or the one that `options.spectrum` names or numbers (from 1).
 
     Raises:
         NacreError: none has the name.
     """
     if options.spectrum is None:
-        return list(found)
-    named_so = [measurement for measurement in found if measurement.name == options.spectrum]
-    if not named_so and options.spectrum.isdigit() and 1 <= int(options.spectrum) <= len(found):
-        named_so = [found[int(options.spectrum) - 1]]
-    if not named_so:
-        names = ", ".join(measurement.name or str(place) for place, measurement in enumerate(found, start=1))
+        return list(spectra)
+    matches = [measurement for measurement in spectra if measurement.name == options.spectrum]
+    if not matches and options.spectrum.isdigit() and 1 <= int(options.spectrum) <= len(spectra):
+        matches = [spectra[int(options.spectrum) - 1]]
+    if not matches:
+        names = ", ".join(measurement.name or str(place) for place, measurement in enumerate(spectra, start=1))
         raise NacreError(f'{path}: spectrum = "{options.spectrum}" is not in the file, which holds {names[:400]}')
-    return named_so
+    return matches
 
 
-def undecided(path: Path, said: str, options: ReadOptions) -> NacreError:
+def undecided(path: Path, problem: str, options: ReadOptions) -> NacreError:
     """Return the error for a quantity that a file does not state; a key that needs a reflectance does not decide it."""
     if options.assumed_quantity is not None:
-        return NacreError(f"{path}: {said}; nacre read with --quantity shows it, and -o writes it with headings")
-    return AmbiguousFileError(f"{path}: {said}", "quantity", QUANTITIES)
+        return NacreError(f"{path}: {problem}; nacre read with --quantity shows it, and -o writes it with headings")
+    return AmbiguousFileError(f"{path}: {problem}", "quantity", QUANTITIES)
 
 
 def ratio(sample: ArrayLike, dark: ArrayLike, reference: ArrayLike) -> Array:
@@ -541,11 +539,7 @@ def check_count(path: Path, stated: float | str | None, got: int, what: str) -> 
     Raises:
         NacreError: another point count than the file states.
     """
-    if stated is None:
-        return
-    try:
+    with contextlib.suppress(ValueError, IndexError):  # not a number, or not stated
         expected = int(float(str(stated).replace(",", ".").split()[0]))
-    except (ValueError, IndexError):
-        return
-    if expected != got:
-        raise NacreError(f"{path}: {what} states {expected} points, but has {got}; the file is cut or damaged")
+        if expected != got:
+            raise NacreError(f"{path}: {what} states {expected} points, but has {got}; the file is cut or damaged")

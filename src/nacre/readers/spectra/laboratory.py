@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptio
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Label, Notes
-from nacre.readers.text_table import find_delimiter, number
+from nacre.readers.text_table import c_string, find_delimiter, number
 from nacre.readers.units import to_nm
 
 # Bruker OPUS binary files: a directory of blocks, with parameters and evenly spaced values.
@@ -43,7 +43,7 @@ def read_opus(path: Path, options: ReadOptions) -> list[Measurement]:
     blocks = _directory(path, path.read_bytes())
     parameters = [(kind, _parameters(raw)) for kind, raw in blocks if kind[2] > 0]
     sample = next((str(values["SNM"]) for _, values in parameters if values.get("SNM")), "")
-    found: list[Measurement] = []
+    spectra: list[Measurement] = []
     notes = Notes()
     labels = _LABELS if any(kind[3] in _LABELS and not kind[2] for kind, _ in blocks) else {1: Label("counts", 1.0)}
     for kind, raw in blocks:
@@ -64,17 +64,15 @@ def read_opus(path: Path, options: ReadOptions) -> list[Measurement]:
         values = np.frombuffer(used, "<f4").astype(float) * float(status.get("CSF", 1.0))
         x = np.linspace(float(status["FXV"]), float(status["LXV"]), count)
         metadata = {"date": str(status.get("DAT", "")), "time": str(status.get("TIM", ""))}
-        found.append(
-            common.spectrum(
-                path, x, values, label, options, unit=unit, name=sample, metadata=metadata,
-                notes=Notes(left_out=notes.left_out)
-            )
-        )  # fmt: skip
-    if not found:
+        own = Notes(left_out=notes.left_out)
+        spectra.append(
+            common.spectrum(path, x, values, label, options, unit=unit, name=sample, metadata=metadata, notes=own)
+        )
+    if not spectra:
         raise NacreError(
             f"{path}: an OPUS file without a result spectrum; it holds: {', '.join(notes.left_out) or 'nothing'}"
         )
-    return common.choose(path, found, options)
+    return common.choose(path, spectra, options)
 
 
 def _directory(path: Path, data: bytes) -> list[tuple[BlockType, bytes]]:
@@ -97,7 +95,7 @@ def _directory(path: Path, data: bytes) -> list[tuple[BlockType, bytes]]:
 
 def _parameters(raw: bytes) -> dict[str, int | float | str]:
     """Return a block's parameters: name, type (0 integer, 1 float, else text), size in words, value."""
-    found: dict[str, int | float | str] = {}
+    parameters: dict[str, int | float | str] = {}
     at = 0
     while at + 8 <= len(raw):
         key = raw[at : at + 3].decode("latin-1")
@@ -107,14 +105,10 @@ def _parameters(raw: bytes) -> dict[str, int | float | str]:
         value = raw[at + 8 : at + 8 + 2 * words]
         if words <= 0 or len(value) < 2 * words:
             break
-        if kind == 0:
-            found[key] = struct.unpack_from("<i", value)[0]
-        elif kind == 1:
-            found[key] = struct.unpack_from("<d", value)[0]
-        else:
-            found[key] = value.split(b"\0")[0].decode("latin-1").strip()
+        form = {0: "<i", 1: "<d"}.get(kind)
+        parameters[key] = c_string(value) if form is None else struct.unpack_from(form, value)[0]
         at += 8 + 2 * words
-    return found
+    return parameters
 
 
 # Bruker data point tables `.dpt`: two columns with commas or tabs, without units and quantity.
@@ -135,20 +129,17 @@ def read_bruker_dpt(path: Path, options: ReadOptions) -> list[Measurement]:
         AmbiguousFileError: unit or quantity is not stated; the program writes nm or 1/cm, R, T or absorbance.
     """
     lines = common.read_lines(path)
-    table = common.first_block(path, lines).table
+    x, y = common.first_block(path, lines).table[:, :2].T
     unit = common.option_unit(path, options)
-    reach = f"{table[:, 0].min():g} to {table[:, 0].max():g}"
     if unit is None:
-        raise AmbiguousFileError(
-            f"{path}: a .dpt file does not state the unit of its abscissa ({reach})", "unit", ("nm", "1/cm", "um")
-        )
+        problem = f"{path}: a .dpt file does not state the unit of its abscissa ({x.min():g} to {x.max():g})"
+        raise AmbiguousFileError(problem, "unit", ("nm", "1/cm", "um"))
     label = common.option_label(path, options)
     if label is None:
-        size = common.typical(to_nm(table[:, 0], unit), table[:, 1])
+        size = common.typical(to_nm(x, unit), y)
         choices = ("reflectance", "transmittance", "absorbance", "counts")
         raise AmbiguousFileError(f"{path}: its quantity (up to {size:.4g}) is not stated", "quantity", choices)
-    notes = Notes()
-    return [common.spectrum(path, table[:, 0], table[:, 1], label, options, unit=unit, notes=notes)]
+    return [common.spectrum(path, x, y, label, options, unit=unit)]
 
 
 # PerkinElmer: UV WinLab text and .sp files.
@@ -215,16 +206,14 @@ def read_perkinelmer_sp(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the evenly spaced values between the stated ends."""
     data = path.read_bytes()
     members = _members(data)
-    missing = [
-        name
-        for key, name in ((_RANGE, "range"), (_COUNT, "number of points"), (_VALUES, "values"))
-        if key not in members
-    ]
+    needed = {_RANGE: "range", _COUNT: "number of points", _VALUES: "values"}
+    missing = [name for key, name in needed.items() if key not in members]
     if missing:
         raise NacreError(f"{path}: PerkinElmer .sp without {', '.join(missing)}; the file is cut or damaged")
     first, last = struct.unpack_from("<dd", members[_RANGE])
     (count,) = struct.unpack_from("<i", members[_COUNT])
-    values = np.frombuffer(_sized(members[_VALUES]), "<f8")
+    (size,) = struct.unpack_from("<i", members[_VALUES])
+    values = np.frombuffer(members[_VALUES][4 : 4 + size], "<f8")
     common.check_count(path, count, len(values), "the file")
     x_label, y_label = (_text(members.get(key, b"\0\0")) for key in (_X_LABEL, _Y_LABEL))
     interval = struct.unpack_from("<d", members[_INTERVAL])[0] if _INTERVAL in members else last - first
@@ -234,7 +223,7 @@ def read_perkinelmer_sp(path: Path, options: ReadOptions) -> list[Measurement]:
     unit = common.axis_unit(path, options, x_label)
     notes = Notes()
     label = common.named_quantity(path, options, y_label, to_nm(x, unit), values, notes)
-    metadata: dict[str, Any] = {"description": data[4:44].split(b"\0")[0].decode("latin-1").strip()}
+    metadata = {"description": c_string(data[4:44])}
     name = _text(members.get(_NAME, b"\0\0"))
     return [common.spectrum(path, x, values, label, options, unit=unit, name=name, metadata=metadata, notes=notes)]
 
@@ -253,11 +242,6 @@ def _members(data: bytes) -> dict[int, bytes]:
         found.setdefault(number, data[at + 2 : at + size])
         at += size
     return found
-
-
-def _sized(member: bytes) -> bytes:
-    (size,) = struct.unpack_from("<i", member)
-    return member[4 : 4 + size]
 
 
 def _text(member: bytes) -> str:
@@ -291,9 +275,10 @@ def read_jasco_text(path: Path, options: ReadOptions) -> list[Measurement]:
     unit = common.axis_unit(path, options, records.get("XUNITS", ""))
     keys = ("ORIGIN", "OWNER", "DATE", "TIME", "SPECTROMETER/DATA SYSTEM", "DATA TYPE")
     metadata = {key.lower(): records[key] for key in keys if records.get(key)}
-    nm = to_nm(table[:, 0], unit)
+    x, *columns = table.T
+    nm, name = to_nm(x, unit), records.get("TITLE", "")
     spectra = []
-    for column in range(1, table.shape[1]):
+    for column, values in enumerate(columns, start=1):
         units = records.get("YUNITS" if column == 1 else f"YUNITS{column}", "")
         label = common.label_of(units)
         notes = Notes(left_out=["the report below the data"] if begin + 1 + block.stop < len(lines) - 2 else [])
@@ -303,13 +288,10 @@ def read_jasco_text(path: Path, options: ReadOptions) -> list[Measurement]:
         if label is None:
             if column > 1:
                 continue  # such as the voltage of the detector
-            label = common.named_quantity(path, options, units, nm, table[:, column], notes)
+            label = common.named_quantity(path, options, units, nm, values, notes)
         spectra.append(
-            common.spectrum(
-                path, table[:, 0], table[:, column], label, options, unit=unit,
-                name=records.get("TITLE", ""), metadata=metadata, notes=notes
-            )
-        )  # fmt: skip
+            common.spectrum(path, x, values, label, options, unit=unit, name=name, metadata=metadata, notes=notes)
+        )
     return common.choose(path, spectra, options)
 
 
@@ -369,19 +351,18 @@ class OleFile:
         return self._chain(first, self._fat, self._sector)[:size]
 
     def _sector(self, number: int) -> bytes:
-        found = self._data[(number + 1) * self._size : (number + 2) * self._size]
-        return found.ljust(self._size, b"\0")
+        return self._data[(number + 1) * self._size : (number + 2) * self._size].ljust(self._size, b"\0")
 
     def _mini_sector(self, number: int) -> bytes:
         return self._mini_stream[number * self._mini_size : (number + 1) * self._mini_size]
 
-    def _chain(self, first: int, table: list[int], sector: object) -> bytes:
+    def _chain(self, first: int, table: list[int], sector: Callable[[int], bytes]) -> bytes:
         parts: list[bytes] = []
         number = first
         while number < _LAST_SECTOR:
             if number >= len(table) or len(parts) > len(table):
                 raise ValueError("a chain of sectors")
-            parts.append(sector(number))  # type: ignore[operator]
+            parts.append(sector(number))
             number = table[number]
         return b"".join(parts)
 
@@ -425,13 +406,8 @@ def read_jasco_jws(path: Path, options: ReadOptions) -> list[Measurement]:
         codes = struct.unpack_from("<2I", info, _DATA_INFO.size)
         raw = ole.stream("Y-Data")
         channels = max(1, len(raw) // (4 * count)) if count else 0
-    if (
-        count < 2
-        or channels < 1
-        or len(raw) < 4 * channels * count
-        or not np.isfinite([first, step]).all()
-        or step == 0
-    ):
+    has_values = count >= 2 and channels >= 1 and len(raw) >= 4 * channels * count
+    if not has_values or not np.isfinite([first, step]).all() or step == 0:
         raise NacreError(
             f"{path}: JASCO .jws with {len(raw) // 4} values of {channels} x {count}; it is cut or damaged"
         )
@@ -448,12 +424,11 @@ def read_jasco_jws(path: Path, options: ReadOptions) -> list[Measurement]:
         label = Label("absorbance", 1.0)
     if label is None:
         size = common.typical(nm, table[0])
-        if not 5 <= size <= 1000:
-            choices = ("absorbance", "reflectance (%)", "transmittance (%)")
-            raise AmbiguousFileError(f"{path}: no quantity in the file, values up to {size:.4g}", "quantity", choices)
-        raise AmbiguousFileError(
-            f"{path}: its quantity is missing; per cent by size", "quantity", ("reflectance (%)", "transmittance (%)")
-        )
+        choices = ("reflectance (%)", "transmittance (%)")
+        if 5 <= size <= 1000:
+            raise AmbiguousFileError(f"{path}: its quantity is missing; per cent by size", "quantity", choices)
+        problem = f"{path}: no quantity in the file, values up to {size:.4g}"
+        raise AmbiguousFileError(problem, "quantity", ("absorbance", *choices))
     notes.left_out += [f"channel {number}" for number in range(2, channels + 1)]
     return [common.spectrum(path, x, table[0], label, options, unit=unit, notes=notes)]
 
@@ -495,17 +470,16 @@ def read_woollam_intensity(path: Path, options: ReadOptions) -> list[Measurement
     notes = Notes()
     if unit is None:
         unit = common.assumed_unit(path, np.array([row[0] for rows in groups.values() for row in rows]), notes, options)
-    found = []
+    spectra = []
     for (quantity, polarisation, angle), rows in groups.items():
         table = np.array(rows)
         error = table[:, 3] if np.isfinite(table[:, 3]).all() else None
         metadata = {"polarisation": POLARISATIONS[polarisation], "angle_of_incidence_deg": angle}
-        own = Notes(list(notes.assumed))
-        found.append(
+        spectra.append(
             common.spectrum(
-                path, table[:, 0], table[:, 2], Label(QUANTITIES[quantity], 1.0), options,
-                unit=unit, name=f"{polarisation}{quantity} {angle:g} deg", metadata=metadata, notes=own, error=error,
-                more={"angle_of_incidence_deg": table[:, 1]}
+                path, table[:, 0], table[:, 2], Label(QUANTITIES[quantity], 1.0), options, unit=unit,
+                name=f"{polarisation}{quantity} {angle:g} deg", metadata=metadata, notes=notes.copy(), error=error,
+                more={"angle_of_incidence_deg": table[:, 1]},
             )
         )  # fmt: skip
-    return common.choose(path, found, options)
+    return common.choose(path, spectra, options)

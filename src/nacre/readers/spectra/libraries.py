@@ -18,7 +18,7 @@ from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptio
 from nacre.readers.registry import CERTAIN, LIKELY, FileHead, head_of
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Label, Notes
-from nacre.readers.text_table import number
+from nacre.readers.text_table import c_string, number
 from nacre.readers.units import to_nm
 
 # USGS spectral library 7 (splib07, Kokaly et al. 2017, USGS Data Series 1035): ASCII files of one column.
@@ -76,26 +76,22 @@ def read_usgs_splib(path: Path, options: ReadOptions) -> list[Measurement]:
         )
     kind = page.title.split()[-1].upper() if page.title else ""
     notes = Notes()
-    um, source = _given(page, options.wavelengths) if options.wavelengths else _beside(page)
+    um, source = _named(page, options.wavelengths) if options.wavelengths else _beside(page)
     label = common.option_label(path, options) or _label(path, kind, options)
-    kept = page.values > DELETED
-    if not kept.all():
-        notes.left_out.append(f"{int((~kept).sum())} deleted channels")
-    if kept.sum() < 2:
-        raise NacreError(f"{path}: all but {int(kept.sum())} of its channels are deleted")
-    typical = common.typical(um[kept] * 1e3, page.values[kept])
+    is_valid = page.values > DELETED
+    if not is_valid.all():
+        notes.left_out.append(f"{int((~is_valid).sum())} deleted channels")
+    if is_valid.sum() < 2:
+        raise NacreError(f"{path}: all but {int(is_valid.sum())} of its channels are deleted")
+    um, values = um[is_valid], page.values[is_valid]
+    typical = common.typical(um * 1e3, values)
     if label.factor == 1.0 and label.quantity in ("reflectance", "transmittance") and typical > MOST:
         raise NacreError(f"{path}: holds values up to {typical:.4g}; the library holds factors. The file is changed")
     notes.assumed.append(f"the wavelengths are those of {source.name}")
     name = " ".join(page.title.split()[:-2])
     metadata = {"library": page.library, "record": page.record, "instrument": page.instrument,
                 "measurement": _KINDS.get(kind, kind), "wavelengths": source.name}  # fmt: skip
-    return [
-        common.spectrum(
-            path, um[kept], page.values[kept], label, options, unit="um", name=name, metadata=metadata,
-            notes=notes
-        )
-    ]  # fmt: skip
+    return [common.spectrum(path, um, values, label, options, unit="um", name=name, metadata=metadata, notes=notes)]
 
 
 def _label(path: Path, kind: str, options: ReadOptions) -> Label:
@@ -135,17 +131,13 @@ def _beside(page: Page) -> tuple[Array, Path]:
     Raises:
         NacreError: such a file is missing, or several have unlike wavelengths.
     """
-    fitting, lengths = [], []
-    for other in _wavelength_files(page):
-        if len(other.values) == len(page.values):
-            fitting.append(other)
-        else:
-            lengths.append(f"{other.path.name} has {len(other.values)}")
+    files = list(_wavelength_files(page))
+    fitting = [other for other in files if len(other.values) == len(page.values)]
     if not fitting:
-        said = f"; {', '.join(lengths)[:160]}" if lengths else ""
+        lengths = ", ".join(f"{other.path.name} has {len(other.values)}" for other in files)[:160]
         raise NacreError(
             f"{page.path}: holds {len(page.values)} values and no wavelengths, which stand in a separate file of the "
-            f"USGS library{said}; {WAY_OUT}"
+            f"USGS library{'; ' if lengths else ''}{lengths}; {WAY_OUT}"
         )
     if any(not np.array_equal(other.values, fitting[0].values) for other in fitting):
         names = ", ".join(other.path.name for other in fitting)
@@ -163,18 +155,18 @@ def _wavelength_files(page: Page) -> Iterator[Page]:
             continue
         for path in paths:
             try:
-                if not path.is_file() or path.stat().st_size > MAX_BYTES:
-                    continue
-                other = _page(path)
+                other = _page(path) if path.is_file() and path.stat().st_size <= MAX_BYTES else None
             except (NacreError, OSError):
+                other = None
+            if other is None or other.library.lower() != page.library.lower():
                 continue
-            is_same = other.library.lower() == page.library.lower() and "wavelength" in other.title.lower()
             of_spectrometer = page.instrument[:3].lower() in f"{path.stem} {other.title}".lower()
-            if is_same and (of_spectrometer or not page.library.lower().startswith("splib")):
+            is_any = not page.library.lower().startswith("splib")
+            if "wavelength" in other.title.lower() and (of_spectrometer or is_any):
                 yield other
 
 
-def _given(page: Page, name: str) -> tuple[Array, Path]:
+def _named(page: Page, name: str) -> tuple[Array, Path]:
     """Return the wavelengths in um from a file that the options name.
 
     Raises:
@@ -217,36 +209,26 @@ def read_aster(path: Path, options: ReadOptions) -> list[Measurement]:
     lines = common.read_lines(path)
     units = {match[1].upper(): match[2].strip() for line in lines[:200] if (match := _KEY.match(line))}
     last = max(place for place, line in enumerate(lines[:200]) if _KEY.match(line))
-    found = common.blocks(lines[last + 1 :], least_columns=2)
-    if not found:
+    tables = common.blocks(lines[last + 1 :], least_columns=2)
+    if not tables:
         raise NacreError(f"{path}: has no rows of two numbers")
-    table = common.complete(path, max(found, key=lambda block: len(block.table)))
+    x, y = common.complete(path, max(tables, key=lambda block: len(block.table)))[:, :2].T
     metadata = common.key_values(lines[:last], ":")
-    stated = next(
-        (value for key, value in metadata.items() if key.lower() in ("number of x values", "number of points")), None
-    )
-    common.check_count(path, stated, len(table), "the preamble")
+    counts = ("number of x values", "number of points")
+    stated = next((value for key, value in metadata.items() if key.lower() in counts), None)
+    common.check_count(path, stated, len(x), "the preamble")
     notes = Notes()
     unit = common.axis_unit(path, options, units["X"])
-    nm = to_nm(table[:, 0], unit)
-    label = common.named_quantity(path, options, units["Y"], nm, table[:, 1], notes)
-    return [
-        common.spectrum(
-            path, table[:, 0], table[:, 1], label, options, unit=unit, name=metadata.get("Name", ""),
-            metadata=metadata, notes=notes
-        )
-    ]  # fmt: skip
+    label = common.named_quantity(path, options, units["Y"], to_nm(x, unit), y, notes)
+    name = metadata.get("Name", "")
+    return [common.spectrum(path, x, y, label, options, unit=unit, name=name, metadata=metadata, notes=notes)]
 
 
 # JCAMP-DX 4.24 to 6: tables of pairs, evenly spaced ordinates in all compressed forms, and linked blocks.
 
 _RECORD = re.compile(r"^\s*##\s*([^=]*?)\s*=(.*)$")
-_SQZ = {letter: str(value) for value, letter in enumerate("@ABCDEFGHI")} | {
-    letter: f"-{value}" for value, letter in enumerate("abcdefghi", start=1)
-}
-_DIF = {letter: str(value) for value, letter in enumerate("%JKLMNOPQR")} | {
-    letter: f"-{value}" for value, letter in enumerate("jklmnopqr", start=1)
-}
+_SQZ = dict(zip("@ABCDEFGHIabcdefghi", (*map(str, range(10)), *map(str, range(-1, -10, -1)))))
+_DIF = dict(zip("%JKLMNOPQRjklmnopqr", _SQZ.values()))
 _DUP = {letter: str(value) for value, letter in enumerate("STUVWXYZ", start=1)} | {"s": "9"}
 _TOKEN = re.compile(r"[@A-Ia-i%J-Rj-rS-Zs][\d.]*|[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]\d+)?|\?")
 
@@ -270,15 +252,15 @@ def sniff_jcamp(head: FileHead) -> float:
 
 def read_jcamp(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read a file's spectra; three linked blocks of counts give (sample - dark) / (reference - dark)."""
-    found = [block for block in _blocks(common.read_lines(path)) if block.table]
-    if not found:
+    blocks = [block for block in _blocks(common.read_lines(path)) if block.table]
+    if not blocks:
         raise NacreError(f"{path}: JCAMP-DX without XYDATA or XYPOINTS")
-    roles = {_role(block): block for block in found}
+    roles = {_role(block): block for block in blocks}
     if {"sample", "dark", "reference"} <= set(roles):
         return [_reflectance(path, roles, options)]
     notes = Notes()
     readable = []
-    for block in found:
+    for block in blocks:
         units = block.records.get("YUNITS", "")
         label = common.label_of(units)
         if label is not None and label.quantity == "error":
@@ -329,11 +311,11 @@ def _role(block: Block) -> str:
 
 def _reflectance(path: Path, roles: dict[str, Block], options: ReadOptions) -> Measurement:
     """Return the ratio of three blocks of counts, or the processed block if it already is a ratio."""
-    tables = {role: _xy(path, roles[role]) for role in ("sample", "dark", "reference")}
-    nm = tables["sample"][0]
-    if any(len(x) != len(nm) or not np.allclose(x, nm) for x, _ in tables.values()):
+    (nm, sample), (nm_dark, dark), (nm_reference, reference) = (
+        _xy(path, roles[role]) for role in ("sample", "dark", "reference")
+    )
+    if any(len(x) != len(nm) or not np.allclose(x, nm) for x in (nm_dark, nm_reference)):
         raise NacreError(f"{path}: its blocks of sample, dark and reference have different wavelengths")
-    sample, dark, reference = (tables[role][1] for role in ("sample", "dark", "reference"))
     block = roles["sample"]
     notes = Notes()
     unit = common.axis_unit(path, options, block.records.get("XUNITS", ""))
@@ -348,14 +330,14 @@ def _reflectance(path: Path, roles: dict[str, Block], options: ReadOptions) -> M
         )
         label = Label("reflectance", 0.01)
     counts = {"sample_counts": sample, "dark_counts": dark, "reference_counts": reference}
+    name, metadata = block.records.get("TITLE", ""), _metadata(block)
     return common.spectrum(
-        path, nm, values, label, options, unit=unit, name=block.records.get("TITLE", ""),
-        metadata=_metadata(block), notes=notes, more=counts
-    )  # fmt: skip
+        path, nm, values, label, options, unit=unit, name=name, metadata=metadata, notes=notes, more=counts
+    )
 
 
 def _spectrum(path: Path, block: Block, label: Label | None, options: ReadOptions, shared: Notes) -> Measurement:
-    notes = Notes(list(shared.assumed), list(shared.left_out))
+    notes = shared.copy()
     x, y = _xy(path, block)
     unit = common.axis_unit(path, options, block.records.get("XUNITS", ""))
     nm = to_nm(x, unit)
@@ -393,9 +375,8 @@ def _xy(path: Path, block: Block) -> tuple[Array, Array]:
     """
     if block.kind == "PEAKTABLE":
         raise NacreError(f"{path}: JCAMP-DX with a table of peaks, which is not a spectrum")
-    x_factor, y_factor = (
-        value if (value := _number(block, key)) is not None else 1.0 for key in ("XFACTOR", "YFACTOR")
-    )
+    factors = [_number(block, key) for key in ("XFACTOR", "YFACTOR")]
+    x_factor, y_factor = (1.0 if factor is None else factor for factor in factors)
     if block.form.startswith("(XY"):
         pairs = _pairs(path, block.table, "," in block.records.get("FIRSTX", "") + block.records.get("MAXY", ""))
         x, y = pairs[:, 0] * x_factor, pairs[:, 1] * y_factor
@@ -445,7 +426,7 @@ def _pairs(path: Path, lines: list[str], comma: bool) -> Array:
     for line in filter(str.strip, lines):
         words = re.split(r",\s+|[;\s]+" if comma else r"[,;\s]+", line.strip().strip(";,"))
         values = [value for word in words if word and (value := number(word)) is not None]
-        if len(values) % 2 or len(values) < len([word for word in words if word]):
+        if len(values) % 2 or len(values) < len(list(filter(None, words))):
             raise NacreError(f'{path}: "{line.strip()[:60]}" holds no pairs of numbers')
         rows += [values[at : at + 2] for at in range(0, len(values), 2)]
     return np.array(rows, dtype=float).reshape(-1, 2)
@@ -530,16 +511,10 @@ def sniff_grams_spc(head: FileHead) -> float:
     """Return 0.6 if version, point count and types of the axes are plausible."""
     if len(head.data) < 288 or head.data[1] not in (NEW_LITTLE, NEW_BIG, OLD) or head.is_text:
         return 0.0
-    try:
-        found = _head(head.data)
-    except (struct.error, ValueError, OverflowError):
-        return 0.0
-    is_plausible = np.isfinite([found.first, found.last]).all() and 0 <= found.count < 1 << 28 and found.x_type < 32
-    return (
-        LIKELY
-        if is_plausible and 1 <= found.spectra <= MAX_SPECTRA and (found.count > 1 or found.flags & _OWN_X)
-        else 0.0
-    )
+    spc = _head(head.data)
+    is_plausible = np.isfinite([spc.first, spc.last]).all() and 0 <= spc.count < 1 << 28 and spc.x_type < 32
+    has_points = 1 <= spc.spectra <= MAX_SPECTRA and (spc.count > 1 or spc.flags & _OWN_X)
+    return LIKELY if is_plausible and has_points else 0.0
 
 
 def read_grams_spc(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -550,39 +525,32 @@ def read_grams_spc(path: Path, options: ReadOptions) -> list[Measurement]:
     if unit is None and head.labels:
         unit = common.unit_named(head.labels[0])
     unit = common.agreed_unit(path, options, unit)
-    notes = Notes()
+    stated = Y_LABELS.get(head.y_type) or (common.label_of(head.labels[1]) if len(head.labels) > 1 else None)
+    metadata = {"comment": head.comment}
     spectra = []
     for count, (x, y) in enumerate(_tables(path, data, head), start=1):
-        own = Notes(list(notes.assumed))
-        found = unit or common.assumed_unit(path, x, own, options)
-        label = common.agreed_label(path, options, _spc_label(head), "the type of the ordinate", own)
+        notes = Notes()
+        unit_x = unit or common.assumed_unit(path, x, notes, options)
+        label = common.agreed_label(path, options, stated, "the type of the ordinate", notes)
         if label is None:
-            said = f"{path}: the ordinate has type {head.y_type}, no quantity"
-            raise AmbiguousFileError(said, "quantity", common.SCALED)
+            problem = f"{path}: the ordinate has type {head.y_type}, no quantity"
+            raise AmbiguousFileError(problem, "quantity", common.SCALED)
         name = head.comment if head.spectra == 1 else str(count)
         spectra.append(
-            common.spectrum(
-                path, x, y, label, options, unit=found, name=name, metadata={"comment": head.comment}, notes=own
-            )
+            common.spectrum(path, x, y, label, options, unit=unit_x, name=name, metadata=metadata, notes=notes)
         )
     return common.choose(path, spectra, options)
-
-
-def _spc_label(head: Head) -> Label | None:
-    label = Y_LABELS.get(head.y_type)
-    return common.label_of(head.labels[1]) if label is None and len(head.labels) > 1 else label
 
 
 def _head(data: bytes) -> Head:
     if data[1] == OLD:
         flags, _, exponent, count, first, last, x_type, y_type = _OLD_HEAD.unpack_from(data)
-        comment = data[60:190].split(b"\0")[0].decode("latin-1").strip()
-        return Head(flags, exponent, int(count), first, last, 1, x_type, y_type, 224, "<", comment)
+        return Head(flags, exponent, int(count), first, last, 1, x_type, y_type, 224, "<", c_string(data[60:190]))
     order = "<" if data[1] == NEW_LITTLE else ">"
     values = struct.unpack_from(order + _HEAD, data)
     flags, _, _, exponent, count, first, last, spectra, x_type, y_type = values[:10]
-    comment = values[17].split(b"\0")[0].decode("latin-1").strip()
     labels = tuple(part.decode("latin-1") for part in values[18].split(b"\0")) if flags & _LABELLED else ()
+    comment = c_string(values[17])
     return Head(flags, exponent, count, first, last, max(1, spectra), x_type, y_type, 512, order, comment, labels)
 
 
@@ -597,7 +565,7 @@ def _tables(path: Path, data: bytes, head: Head) -> list[tuple[Array, Array]]:
     if head.flags & _HAS_X and not head.flags & _OWN_X:
         x = _numbers(path, data, at, head.count, f"{head.order}f4").astype(float)
         at += 4 * head.count
-    found = []
+    tables = []
     for _ in range(head.spectra):
         _, exponent, _, _, _, _, points, *_ = struct.unpack_from(head.order + _SUB_HEAD, data, at)
         at += struct.calcsize(head.order + _SUB_HEAD)
@@ -608,8 +576,8 @@ def _tables(path: Path, data: bytes, head: Head) -> list[tuple[Array, Array]]:
         used = exponent if head.flags & _MANY else head.exponent
         y, size = _spc_ordinates(path, data, at, count, used, head)
         at += size
-        found.append((x, y))
-    return found
+        tables.append((x, y))
+    return tables
 
 
 def _numbers(path: Path, data: bytes, at: int, count: int, form: str) -> NDArray[Any]:

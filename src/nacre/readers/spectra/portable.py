@@ -15,7 +15,7 @@ from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptio
 from nacre.readers.registry import CERTAIN, FileHead
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Label, Notes
-from nacre.readers.text_table import find_delimiter, number
+from nacre.readers.text_table import c_string, find_delimiter, number
 
 # ASD FieldSpec: ViewSpec text; the binary files are refused by name.
 
@@ -40,12 +40,11 @@ def read_asd_text(path: Path, options: ReadOptions) -> list[Measurement]:
         if _BINARY.match(file.read(8)):
             raise NacreError(f"{path}: is a binary file of ASD; export text (ViewSpec Pro: Process, ASCII export)")
     lines = common.read_lines(path)
-    found = [block for block in common.blocks(lines, least_columns=2) if len(block.table) > 20]
-    if not found:
+    block = next((block for block in common.blocks(lines, least_columns=2) if len(block.table) > 20), None)
+    if block is None:
         raise NacreError(f"{path}: has no table of a spectrum")
-    block = found[0]
     prose = [line for line in lines[: block.start] if line.strip()]
-    names = [cell for cell in re.split(r"\t", prose[-1]) if cell.strip()] if prose else []
+    names = [cell for cell in prose[-1].split("\t") if cell.strip()] if prose else []
     words = " ".join(prose[:-1]).lower()
     metadata: dict[str, str] = {}
     for key, pattern in (("instrument", r"instrument number was\s+(\S+)"), ("date", r"Spectrum saved:\s*(.+)"),
@@ -55,12 +54,12 @@ def read_asd_text(path: Path, options: ReadOptions) -> list[Measurement]:
             metadata[key] = match[1].strip()
     kind = re.search(r"spectrum file is (radiance|irradiance) data", words)
     is_raw = "white reference" not in words and bool(re.search(r"raw data|raw dn|radiance", words))
+    nm, *columns = common.complete(path, block).T
     spectra = []
-    for column in range(1, block.table.shape[1]):
+    for column, values in enumerate(columns, start=1):
         notes = Notes()
-        values = common.complete(path, block)[:, column]
         label = Label("counts", 1.0) if is_raw else Label("reflectance", 1.0)
-        size = common.typical(block.table[:, 0], values)
+        size = common.typical(nm, values)
         if kind is not None:
             label = Label("irradiance", 1.0)
             notes.assumed.append(f"{kind[1]}, as the preamble states")
@@ -70,9 +69,7 @@ def read_asd_text(path: Path, options: ReadOptions) -> list[Measurement]:
         elif not is_raw:
             notes.assumed.append("reflectance as a factor, as ViewSpec exports it")
         name = names[column].strip() if column < len(names) else ""
-        spectra.append(
-            common.spectrum(path, block.table[:, 0], values, label, options, name=name, metadata=metadata, notes=notes)
-        )
+        spectra.append(common.spectrum(path, nm, values, label, options, name=name, metadata=metadata, notes=notes))
     return common.choose(path, spectra, options)
 
 
@@ -94,28 +91,24 @@ def read_licor_prn(path: Path, options: ReadOptions) -> list[Measurement]:
     """
     lines = common.read_lines(path)
     block = common.first_block(path, lines)
-    table = block.table
+    nm, values = block.table[:, :2].T
     metadata = {key.lower(): value.strip(' "') for key, value in common.key_values(lines[: block.start], ":").items()}
     limits = re.match(r"\s*([\d.]+)\s*-\s*([\d.]+)", metadata.get("lims", ""))
     interval = re.match(r"\s*([\d.]+)", metadata.get("int", ""))
     if limits and interval:
         count = round((float(limits[2]) - float(limits[1])) / float(interval[1])) + 1
-        common.check_count(path, count, len(table), "LIMS with INT")
+        common.check_count(path, count, len(nm), "LIMS with INT")
     label = common.option_label(path, options)
     notes = Notes()
     if label is None:
         named = next((label for word in metadata.get("rem", "").split() if (label := common.label_of(word))), None)
         if named is None or named.quantity not in ("reflectance", "transmittance", "absorptance"):
-            size = common.typical(table[:, 0], table[:, 1])
+            size = common.typical(nm, values)
             raise AmbiguousFileError(f"{path}: no quantity, values up to {size:.4g}", "quantity", common.QUANTITIES)
         label = Label(named.quantity, 1.0)
         notes.assumed.append(f'{named.quantity} as a factor, from the remark "{metadata["rem"]}"')
-    return [
-        common.spectrum(
-            path, table[:, 0], table[:, 1], label, options, name=metadata.get("file", ""),
-            metadata=metadata, notes=notes
-        )
-    ]  # fmt: skip
+    name = metadata.get("file", "")
+    return [common.spectrum(path, nm, values, label, options, name=name, metadata=metadata, notes=notes)]
 
 
 # Spectra Vista `.sig`: keys, `data=`, then wavelength, radiances of reference and target, their ratio in per cent.
@@ -135,19 +128,14 @@ def read_svc_sig(path: Path, options: ReadOptions) -> list[Measurement]:
     """
     lines = common.read_lines(path)
     begin = next((place for place, line in enumerate(lines) if line.strip().startswith("data=")), None)
-    found = common.blocks(lines[begin + 1 :], least_columns=4) if begin is not None else []
-    if not found or found[0].table.shape[1] != 4:
+    tables = common.blocks(lines[begin + 1 :], least_columns=4) if begin is not None else []
+    if not tables or tables[0].table.shape[1] != 4:
         raise NacreError(f"{path}: has no rows of wavelength, reference, target and ratio after data=")
-    table = common.complete(path, found[0])
+    nm, _, _, ratio = common.complete(path, tables[0]).T
     metadata = common.key_values(lines[:begin], "=")
     notes = Notes(left_out=["the radiances of reference and target"])
-    label = Label("reflectance", 0.01)
-    return [
-        common.spectrum(
-            path, table[:, 0], table[:, 3], label, options, name=metadata.get("name", ""),
-            metadata=metadata, notes=notes
-        )
-    ]  # fmt: skip
+    label, name = Label("reflectance", 0.01), metadata.get("name", "")
+    return [common.spectrum(path, nm, ratio, label, options, name=name, metadata=metadata, notes=notes)]
 
 
 # StellarNet SpectraWiz text (.SSM, .TRM, .ABS, .IRR): two lines that begin with a quotation mark, then nm and value.
@@ -200,18 +188,16 @@ def _label(path: Path, view: str, options: ReadOptions, notes: Notes) -> Label:
     of_view = next((quantity for word, quantity in _VIEWS if view.lower().startswith(word)), None)
     of_suffix = _SUFFIXES.get(path.suffix.lower())
     known = {quantity for quantity in (of_view, of_suffix) if quantity}
-    if len(known - set(RATIOS)) > 1 or (len(known) > 1 and not known <= set(RATIOS)):
+    if len(known) > 1 and not known <= set(RATIOS):
         raise common.undecided(path, f'its head names {of_view} ("{view}") and its suffix {of_suffix}', options)
     quantity = of_view or of_suffix
     if quantity is None:
         raise common.undecided(path, f'neither "{view}" nor the suffix is a known view of SpectraWiz', options)
     if quantity not in RATIOS:
         return Label(quantity, 1.0)
-    if of_view != "reflectance" and options.assumed_quantity == "reflectance":
-        notes.assumed.append("SpectraWiz has one view of transmission and reflection; a reflectance is taken")
-        return Label("reflectance")
     if of_view != "reflectance":
-        notes.assumed.append("SpectraWiz has one view of transmission and reflection; a transmittance is taken")
+        quantity = "reflectance" if options.assumed_quantity == "reflectance" else quantity
+        notes.assumed.append(f"SpectraWiz has one view of transmission and reflection; a {quantity} is taken")
     return Label(quantity)
 
 
@@ -239,11 +225,9 @@ def read_craic_text(path: Path, options: ReadOptions) -> list[Measurement]:
     elif label.quantity in ("reflectance", "transmittance"):
         label = Label(label.quantity, 0.01)
         notes.assumed.append(f"{label.quantity} in per cent, as the program writes it")
-    settings = next((line for line in head if _SETTINGS.search(line)), "")
-    metadata = {"settings": settings}
-    return [
-        common.spectrum(path, nm, values, label, options, name=head[0] if head else "", metadata=metadata, notes=notes)
-    ]
+    metadata = {"settings": next((line for line in head if _SETTINGS.search(line)), "")}
+    name = head[0] if head else ""
+    return [common.spectrum(path, nm, values, label, options, name=name, metadata=metadata, notes=notes)]
 
 
 # Avantes AvaSoft: text exports and binary files (RFL8, TRM, ROH, ABS).
@@ -291,13 +275,13 @@ def read_avantes_text(path: Path, options: ReadOptions) -> list[Measurement]:
         notes.assumed.append("reflectance = (sample - dark) / (reference - dark)")
     same = [place for place in range(1, len(units)) if (names[place], units[place]) == (names[-1], units[-1])]
     if len(same) > 1 and names[-1]:  # one column a measurement
-        spectra = [
-            common.spectrum(
-                path, table[:, 0], table[:, place], label, options, name=f"{names[place]} {count}",
-                metadata=metadata, notes=Notes(list(notes.assumed), list(notes.left_out))
+        spectra = []
+        for count, place in enumerate(same, start=1):
+            name, own = f"{names[place]} {count}", notes.copy()
+            column = table[:, place]
+            spectra.append(
+                common.spectrum(path, table[:, 0], column, label, options, name=name, metadata=metadata, notes=own)
             )
-            for count, place in enumerate(same, start=1)
-        ]  # fmt: skip
         return common.choose(path, spectra, options)
     more = {f"{role}_counts": column for role, column in counts.items()} if label.quantity != "counts" else None
     return [common.spectrum(path, table[:, 0], values, label, options, metadata=metadata, notes=notes, more=more)]
@@ -371,7 +355,7 @@ def _version_8(path: Path, data: bytes, options: ReadOptions) -> list[Measuremen
         if not (np.all(np.diff(nm) > 0) and nm[0] > 100 and nm[-1] < 5000):
             raise NacreError(f"{path}: the layout of {data[:5].decode()} in this file is not known; export text")
         metadata = {
-            "instrument": _name(serial), "own_name": _name(own), "integration_time_ms": round(milliseconds, 6),
+            "instrument": c_string(serial), "own_name": c_string(own), "integration_time_ms": round(milliseconds, 6),
             "averages": averages, "mode": mode,
         }  # fmt: skip
         found.append(_measurement(path, nm, sample, dark, reference, mode, metadata, options))
@@ -384,9 +368,8 @@ def _measurement(
     metadata: dict[str, object], options: ReadOptions,
 ) -> Measurement:  # fmt: skip
     name = str(metadata["instrument"])
-    quantity = SUFFIXES.get(path.suffix.lower()) or MODES.get(mode)
-    stated = common.option_label(path, options)
-    quantity = stated.quantity if stated is not None else quantity
+    requested = common.option_label(path, options)
+    quantity = requested.quantity if requested else SUFFIXES.get(path.suffix.lower()) or MODES.get(mode)
     if quantity is None:
         raise AmbiguousFileError(f"{path}: the mode {mode} states no quantity", "quantity", common.QUANTITIES)
     if quantity == "irradiance":
@@ -425,20 +408,15 @@ def _version_6_7(path: Path, data: bytes, options: ReadOptions) -> Measurement:
         raise NacreError(f"{path}: AvaSoft binary file whose size does not match its pixels; it is cut or damaged")
     version, first, last, columns = layout
     floats = np.frombuffer(data, "<f4").astype(float)
-    if version == 70:
-        serial, coefficients = floats[1:10], floats[1 + 9 + 64 : 1 + 9 + 64 + 5]
-    else:
-        coefficients, serial = floats[1:6], floats[6:15]
+    serial, coefficients = (floats[1:10], floats[74:79]) if version == 70 else (floats[6:15], floats[1:6])
     pixels = np.arange(first, last + 1)
     nm = np.polynomial.polynomial.polyval(pixels, coefficients)
     if not (np.all(np.diff(nm) > 0) and nm[0] > 100 and nm[-1] < 5000):
         raise NacreError(f"{path}: its polynomial gives no wavelengths from 100 to 5000 nm; export text")
     start = _FLOATS_BEFORE_PIXELS[version] + 2 + _FLOATS_AFTER_PIXELS[version]
     table = floats[start : start + columns * len(pixels)].reshape(len(pixels), columns)
-    metadata = {
-        "instrument": _name(bytes(int(code) & 0xFF for code in serial if np.isfinite(code))),
-        "version": version,
-    }
+    instrument = c_string(bytes(int(code) & 0xFF for code in serial if np.isfinite(code)))
+    metadata = {"instrument": instrument, "version": version}
     notes = Notes()
     if columns == 1:
         return common.spectrum(path, nm, table[:, 0], Label("counts", 1.0), options, metadata=metadata, notes=notes)
@@ -452,10 +430,6 @@ def _version_6_7(path: Path, data: bytes, options: ReadOptions) -> Measurement:
     values = of_counts(sample, dark, reference)
     counts = {"sample_counts": sample, "dark_counts": dark, "reference_counts": reference}
     return common.spectrum(path, nm, values, label, options, metadata=metadata, notes=notes, more=counts)
-
-
-def _name(raw: bytes) -> str:
-    return raw.split(b"\0")[0].decode("latin-1").strip()
 
 
 # Ocean Optics: text of OOIBase32, SpectraSuite, OceanView and Jaz, and ProcSpec archives.
@@ -495,28 +469,27 @@ def sniff_ocean_text(head: FileHead) -> float:
 def read_ocean_text(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the columns after the mark: wavelength and processed values, or those of Jaz (W D R S P)."""
     lines = common.read_lines(path)
-    marks = [place for place, line in enumerate(lines) if _MARK.match(line.strip())]
-    begin = marks[0]
-    found = common.blocks(lines[begin + 1 : marks[1] if len(marks) > 1 else None], least_columns=2)
-    if not found:
+    begin, *ends = (place for place, line in enumerate(lines) if _MARK.match(line.strip()))
+    tables = common.blocks(lines[begin + 1 : ends[0] if ends else None], least_columns=2)
+    if not tables:
         raise NacreError(f"{path}: has no rows of numbers after {lines[begin].strip()}")
-    table = max(found, key=lambda block: len(block.table))
-    common.complete(path, table)
+    block = max(tables, key=lambda block: len(block.table))
+    table = common.complete(path, block)
     preamble = lines[:begin]
     metadata = common.key_values(preamble, ":")
     notes = Notes()
-    if len(found) > 1:
-        notes.left_out.append(f"{len(found) - 1} further tables")
+    if len(tables) > 1:
+        notes.left_out.append(f"{len(tables) - 1} further tables")
     stated = next((value for key, value in metadata.items() if _PIXELS.search(key)), "")
-    if stated.isdigit() and int(stated) != len(table.table):
-        notes.assumed.append(f"the preamble states {stated} pixels; all {len(table.table)} rows were read")
-    letters = lines[begin + 1 + table.start - 1].split() if table.start > 0 else []
-    if letters and set(letters) <= set(JAZ) and len(letters) == table.table.shape[1]:
-        columns = {JAZ[letter]: table.table[:, place] for place, letter in enumerate(letters)}
+    if stated.isdigit() and int(stated) != len(table):
+        notes.assumed.append(f"the preamble states {stated} pixels; all {len(table)} rows were read")
+    letters = lines[begin + block.start].split() if block.start > 0 else []
+    if letters and set(letters) <= set(JAZ) and len(letters) == table.shape[1]:
+        columns = {JAZ[letter]: table[:, place] for place, letter in enumerate(letters)}
     else:
-        columns = {"wavelength_nm": table.table[:, 0], "processed": table.table[:, -1]}
-        if table.table.shape[1] > 2:
-            raise NacreError(f"{path}: has {table.table.shape[1]} columns without a heading; 2 are expected")
+        columns = {"wavelength_nm": table[:, 0], "processed": table[:, -1]}
+        if table.shape[1] > 2:
+            raise NacreError(f"{path}: has {table.shape[1]} columns without a heading; 2 are expected")
     return [_ocean_measurement(path, columns, "\n".join(preamble), metadata, notes, options)]
 
 
@@ -593,8 +566,7 @@ _DOUBLE = re.compile(r"<double>\s*([^<]*?)\s*</double>")
 
 def sniff_ocean_procspec(head: FileHead) -> float:
     """Return 1 for a zip archive with a member `ps_N.xml`."""
-    is_zip = head.data.startswith(b"PK\x03\x04")
-    if not is_zip:
+    if not head.data.startswith(b"PK\x03\x04"):
         return 0.0
     try:
         with zipfile.ZipFile(head.path) as archive:
@@ -683,10 +655,6 @@ def read_qtx(path: Path, options: ReadOptions) -> list[Measurement]:
         common.check_count(path, section.get("REFLPOINTS"), len(values), f'"{name}"')
         label = Label("reflectance" if key == "R" else "transmittance", 0.01)
         metadata = {word.lower(): section[word] for word in ("VIEWING", "DATETIME", "GLOSS") if section.get(word)}
-        found.append(
-            common.spectrum(
-                path, start + step * np.arange(len(values)), np.array(values, dtype=float), label, options,
-                name=name, metadata=metadata, notes=Notes()
-            )
-        )  # fmt: skip
+        nm, factors = start + step * np.arange(len(values)), np.array(values, dtype=float)
+        found.append(common.spectrum(path, nm, factors, label, options, name=name, metadata=metadata))
     return common.choose(path, found, options)

@@ -107,9 +107,8 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         notes.left_out.append("the text below the table")
     names = _headings(table)
     metadata = common.key_values(table.titles, ":=")
-    technique = next((line.split(",")[1] for line in table.titles if line.startswith("Technique,")), "")
-    if technique.strip():
-        metadata["Technique"] = technique.strip()
+    if technique := next((line.split(",")[1].strip() for line in table.titles if line.startswith("Technique,")), ""):
+        metadata["Technique"] = technique
     axis_unit, ordinate = common.stated_axes([*table.titles, *file.trailing])
     axes = [place for place, name in enumerate(names) if _WAVELENGTH.search(name)]
     pairs = [place for place in axes if place + 1 not in axes]
@@ -175,12 +174,11 @@ def of_samples(table: TextTable, options: ReadOptions) -> list[Measurement] | No
     labels = _labels(
         table.path, nm, [(table.headings[place], one) for place, one in zip(samples, values)], stated, notes
     )
-    found = [
-        _one(table.path, nm, one, "nm", own, table.headings[place], {}, stated,
-             Notes(list(notes.assumed), list(notes.left_out)))
-        for place, one, own in zip(samples, values, labels, strict=True)
-    ]  # fmt: skip
-    return common.choose(table.path, found, options)
+    spectra = [
+        _one(table.path, nm, one, "nm", label, table.headings[place], {}, stated, notes.copy())
+        for place, one, label in zip(samples, values, labels, strict=True)
+    ]
+    return common.choose(table.path, spectra, options)
 
 
 def _is_spectral(heading: str, unit: str) -> bool:
@@ -230,16 +228,11 @@ def _plain_columns(table: Array) -> tuple[Array, Array | None] | None:
     """
     if table.shape[1] == 2:
         return table[:, 1], None
-    if table.shape[1] == 3:
-        value, third = table[:, 1], table[:, 2]
-        if (
-            np.nanmax(value) <= 1.05
-            and np.nanmin(third) >= 0
-            and np.all(third <= 0.3 * np.abs(value) + 1e-12)
-            and third.any()
-        ):
-            return value, third
-    return None
+    if table.shape[1] != 3:
+        return None
+    value, third = table[:, 1], table[:, 2]
+    is_factor = np.nanmax(value) <= 1.05 and np.nanmin(third) >= 0
+    return (value, third) if is_factor and np.all(third <= 0.3 * np.abs(value) + 1e-12) and third.any() else None
 
 
 def _plain(
@@ -268,7 +261,7 @@ def _pairs(
             continue
         x, y = (table.column(column, may_overflow=True) for column in (place, place + 1))
         x, y = x[np.isfinite(x)], y[np.isfinite(x)]
-        own = Notes(list(notes.assumed), list(notes.left_out))
+        own = notes.copy()
         label = _labels(table.path, x, [(names[place + 1], y)], options, own)[0]
         found.append(_one(table.path, x, y, names[place], label, titles[place], {}, options, own))
     return found
@@ -298,14 +291,11 @@ def _columns(
     for column in range(table.shape[1]):
         if column == place or names[column] in options.ignore or not np.isfinite(table[:, column]).any():
             continue
-        if (
-            _PIXEL.match(names[column])
-            or _WAVELENGTH.search(names[column])
-            or (column < place and not common.label_of(names[column]))
-        ):
+        label = common.label_of(names[column])
+        is_axis = _PIXEL.match(names[column]) or _WAVELENGTH.search(names[column])
+        if is_axis or (column < place and label is None):
             notes.left_out.append(f'the column "{names[column]}"')
             continue
-        label = common.label_of(names[column])
         if label is not None and label.quantity == "error" and spectra:
             spectra[-1] = (spectra[-1][0], table[:, column])
             continue
@@ -323,16 +313,14 @@ def _columns(
         path, table[:, place], [(name, table[:, column]) for name, (column, _) in zip(said, spectra)], options, notes
     )
     angles = [degrees(names[column]) for column, _ in spectra]
-    is_incidence = all(angle is not None and 0.0 <= angle < 90.0 for angle in angles)  # 110 and -15 are aspecular
-    if not is_incidence:
-        angles = [None] * len(spectra)
-    else:
+    about: list[dict[str, object]] = [{**metadata} for _ in spectra]
+    if all(angle is not None and 0.0 <= angle < 90.0 for angle in angles):  # 110 and -15 are aspecular
         notes.assumed.append("the headings are angles of incidence")
+        about = [{**metadata, "angle_of_incidence_deg": angle} for angle in angles]
     return [
-        _one(path, table[:, place], table[:, column], names[place], label, names[column],
-             metadata if angle is None else {**metadata, "angle_of_incidence_deg": angle}, options,
-             Notes(list(notes.assumed), list(notes.left_out)), error)
-        for (column, error), label, angle in zip(spectra, labels, angles, strict=True)
+        _one(path, table[:, place], table[:, column], names[place], label, names[column], facts, options,
+             notes.copy(), error)
+        for (column, error), label, facts in zip(spectra, labels, about, strict=True)
     ]  # fmt: skip
 
 
@@ -342,23 +330,20 @@ def _without_counts(
     """Omit columns of counts beside a reflectance, transmittance or absorbance."""
     labels = [common.label_of(names[column]) for column, _ in spectra]
     is_processed = [bool(re.match("processed", names[column], re.IGNORECASE)) for column, _ in spectra]
-    if any(is_processed) and any(label is not None and label.quantity == "counts" for label in labels):
-        gone = [names[column] for (column, _), one in zip(spectra, is_processed, strict=True) if not one]
-        notes.left_out.append(f"the columns {', '.join(gone)[:80]}")
-        return [entry for entry, one in zip(spectra, is_processed, strict=True) if one]
-    beside = [label is None and bool(_BESIDE.search(names[column]))
-              for label, (column, _) in zip(labels, spectra, strict=True)]  # fmt: skip
-    if any(beside) and any(label is not None and label.quantity != "counts" for label in labels):
-        gone = [names[column] for (column, _), one in zip(spectra, beside, strict=True) if one]
-        notes.left_out.append(f"radiances and counts: {', '.join(gone)[:80]}")
-        return [entry for entry, one in zip(spectra, beside, strict=True) if not one]
-    if all(label is not None for label in labels):
-        kept = [entry for entry, label in zip(spectra, labels, strict=True) if label and label.quantity != "counts"]
-        if kept and len(kept) < len(spectra):
-            gone = [names[column] for entry in spectra if entry not in kept for column in [entry[0]]]
-            notes.left_out.append(f"counts: {', '.join(gone)}")
-            return kept
-    return spectra
+    is_beside = [label is None and bool(_BESIDE.search(names[column])) for label, (column, _) in zip(labels, spectra)]
+    quantities = [label.quantity if label is not None else None for label in labels]
+    most: int | None = 80  # characters of the note
+    if any(is_processed) and "counts" in quantities:
+        what, is_used = "the columns ", is_processed
+    elif any(is_beside) and set(quantities) - {None, "counts"}:
+        what, is_used = "radiances and counts: ", [not one for one in is_beside]
+    else:
+        what, is_used, most = "counts: ", [quantity != "counts" for quantity in quantities], None
+        if None in quantities or not any(is_used) or all(is_used):
+            return spectra
+    unused = [names[column] for (column, _), one in zip(spectra, is_used, strict=True) if not one]
+    notes.left_out.append(what + ", ".join(unused)[:most])
+    return [entry for entry, one in zip(spectra, is_used, strict=True) if one]
 
 
 def _labels(
@@ -397,13 +382,8 @@ def _labels(
     for quantity in dict.fromkeys(label.quantity for label in labels if label.factor is None):
         members = [values for label, (_, values) in zip(labels, columns, strict=True) if label.quantity == quantity]
         shown = _shown(columns)
-        what = (
-            f"{quantity} without a unit"
-            if quantity
-            else f"no quantity in the heading{shown}"
-            if shown
-            else "no quantity"
-        )
+        unnamed = f"no quantity in the heading{shown}" if shown else "no quantity"
+        what = f"{quantity} without a unit" if quantity else unnamed
         size_x, size_y = np.tile(x, len(members)), np.concatenate(members)
         decided[quantity] = common.by_size(path, size_x, size_y, notes, what, likely=quantity or "reflectance")
     return [decided[label.quantity] if label.factor is None else label for label in labels]
@@ -498,17 +478,14 @@ def _read_across(
     labels = _labels(path, grid, list(zip(words, table, strict=True)), options, notes)
     unit = common.assumed_unit(path, grid, notes, options)
     options = replace(options, quantity=None)
-    found = []
+    spectra = []
     for count, (row, values, label) in enumerate(zip(rows, table, labels, strict=True)):
         title = next((cell for place, cell in enumerate(row) if place not in columns and cell), str(count + 1))
-        own_notes = Notes(list(notes.assumed), list(notes.left_out))
-        found.append(
-            common.spectrum(
-                path, grid, values, label, options, unit=unit, name=title, metadata=others[count],
-                notes=own_notes
-            )
-        )  # fmt: skip
-    return found
+        facts, own = others[count], notes.copy()
+        spectra.append(
+            common.spectrum(path, grid, values, label, options, unit=unit, name=title, metadata=facts, notes=own)
+        )
+    return spectra
 
 
 def _is_ratio(word: str) -> bool:
