@@ -33,8 +33,8 @@ def sampled(
         NacreError: impossible constants, or two values at a wavelength.
     """
     notes = list(assumed)
-    nm, given = sorted_by_wavelength(path, nm, {"n": n, "k": k})
-    n, k = checked(path, nm, given["n"], given["k"], notes)
+    nm, columns = sorted_by_wavelength(path, nm, {"n": n, "k": k})
+    n, k = checked(path, nm, columns["n"], columns["k"], notes)
     data = {"wavelength_nm": nm, "n": n, "k": k}
     name = path.stem if name is None else name
     return Measurement(path, "constants", data, name, metadata or {}, tuple(notes), tuple(left_out))
@@ -63,8 +63,8 @@ def constants(columns: Columns, options: ReadOptions, nm: Floats, name: str = ""
                 f'{path}: "{alpha.heading}" has no unit; write "{alpha.heading} (1/cm)"', "columns"
             )
         given["alpha"] = alpha.values * UNITS[alpha.unit][1] * nm / (4.0 * np.pi)
-    is_missing = np.isnan(nm) | np.any([np.isnan(v) for v in given.values()], axis=0) if given else np.isnan(nm)
-    left_out = [*(f'"{heading}" is not used' for heading in columns.unused)]
+    is_missing = np.isnan([nm, *given.values()]).any(axis=0)
+    left_out = [f'"{heading}" is not used' for heading in columns.unused]
     left_out += [f'"{heading}" is ignored' for heading in columns.ignored]
     if is_missing.any():
         if is_missing.all():
@@ -94,8 +94,8 @@ def _n_and_k(path: Path, given: dict[str, Floats], columns: Columns) -> tuple[Fl
         )
     if eps1 is not None and eps2 is not None:
         from_eps = index_of_permittivity(eps1, eps2)
-        for name, mine, theirs in (("n", n, from_eps[0]), ("k", k, from_eps[1])):
-            if mine is not None and not np.allclose(mine, theirs, rtol=0.02, atol=0.02):
+        for name, stated, computed in (("n", n, from_eps[0]), ("k", k, from_eps[1])):
+            if stated is not None and not np.allclose(stated, computed, rtol=0.02, atol=0.02):
                 raise NacreError(f"{path}: {name} contradicts eps1 and eps2; ignore one of them")
         return (from_eps[0] if n is None else n), (from_eps[1] if k is None else k)
     if n is not None and eps2 is not None:
@@ -190,11 +190,9 @@ def _material_nexus_dispersion(path: Path, file: Any, entry: str) -> Measurement
     tables = [name for name in group if isinstance(name, str) and name.startswith("dispersion_table")]
     places = [f"{entry}/{present[0]}/{name}" for name in (*tables, "plot")]
     for place in places:
-        found = _table(path, file, place)
-        if found is not None:
-            nm, n, k = found
+        if table := _table(path, file, place):
             assumed = ["n and k are the file's own samples of a formula"] if place.endswith("/plot") else []
-            return sampled(path, nm, n, k, assumed, left_out)
+            return sampled(path, *table, assumed, left_out)
     raise NacreError(f"{path}: is a NeXus dispersion by a formula without a table; export a table of n and k")
 
 
@@ -358,10 +356,10 @@ def read_spd_pair(path: Path, options: ReadOptions) -> list[Measurement]:
     if not other.is_file():
         has, lacks = ("n", "k") if is_n else ("k", "n")
         raise NacreError(f"{path}: holds {has} alone; {other.name}, with {lacks}, must stand beside it")
-    (nm, mine), (other_nm, theirs) = _columns(path), _columns(other)
+    (nm, values), (other_nm, other_values) = _columns(path), _columns(other)
     if nm.shape != other_nm.shape or not np.allclose(nm, other_nm, rtol=1e-6):
         raise NacreError(f"{path}: {other.name} has other wavelengths; n and k belong to the same ones")
-    n, k = (mine, theirs) if is_n else (theirs, mine)
+    n, k = (values, other_values) if is_n else (other_values, values)
     assumed = ["the wavelengths are in nm, as Mitsuba and PBRT define"]
     return [sampled(path, nm, n, k, assumed, name=match[1], metadata={"files": [path.name, other.name]})]
 
@@ -500,11 +498,7 @@ def read_zemax_coating(path: Path, options: ReadOptions) -> list[Measurement]:
                 raise NacreError(f'{path}: line {place}: "{line.strip()[:40]}" is not wavelength, n and k')
             current.append([value for value in row if value is not None] + [0.0] * (3 - len(row)))
     left_out = (f"no materials: {', '.join(others)[:200]}",) if others else ()
-    tables = {name: np.array(rows) for name, rows in materials.items() if rows}
-    found = [
-        sampled(path, 1e3 * table[:, 0], table[:, 1], 0.0 - table[:, 2], left_out=left_out, name=name)
-        for name, table in tables.items()
-    ]
-    if not found:
+    tables = {name: np.array(rows).T for name, rows in materials.items() if rows}
+    if not tables:
         raise NacreError(f"{path}: holds no material (MATE) with rows of wavelength, n and k")
-    return found
+    return [sampled(path, 1e3 * um, n, 0.0 - k, left_out=left_out, name=name) for name, (um, n, k) in tables.items()]

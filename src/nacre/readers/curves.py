@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import pydantic
@@ -22,6 +22,7 @@ from nacre.readers.units import UNITS, Floats, parse_unit
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 logger = logging.getLogger("nacre")
+Content = TypeVar("Content", bound=tuple[Any, ...])
 _AXES = ("wavelength_nm", "angle_of_incidence_deg")
 
 
@@ -61,19 +62,19 @@ def curve(path: Path, axes: Sequence[Axis], options: ReadOptions | None = None) 
         if "no rows" in str(error):
             raise NacreError(f"{path}: must hold two numbers a line") from None
         raise
-    tables = file.tables
-    if len(tables) > 1:
-        raise NacreError(f"{path}: holds {len(tables)} tables; keep one")
+    table, *others = file.tables
+    if others:
+        raise NacreError(f"{path}: holds {len(file.tables)} tables; keep one")
     names = tuple(axis.quantities[0] for axis in axes)
     wanted = {quantity for axis in axes for quantity in axis.quantities}
-    _check_cells(tables[0])
-    columns = interpret(tables[0], wanted, options, {len(axes): names})
-    found = np.stack([_converted(columns, axis, options.unit) for axis in axes], axis=1)
-    if not np.isfinite(found).all():
-        line = columns.table.lines[int(np.flatnonzero(~np.isfinite(found).all(axis=1))[0])]
+    _check_cells(table)
+    columns = interpret(table, wanted, options, {len(axes): names})
+    rows = np.stack([_converted(columns, axis, options.unit) for axis in axes], axis=1)
+    if not np.isfinite(rows).all():
+        line = table.lines[int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])]
         raise NacreError(f"{path}: must hold finite numbers; line {line} does not")
-    assumed = [] if not columns.table.headings else columns.assumed
-    return found, [*assumed, *file.left_out, *(f'"{heading}" is not used' for heading in columns.unused)]
+    assumed = columns.assumed if table.headings else []
+    return rows, [*assumed, *file.left_out, *(f'"{heading}" is not used' for heading in columns.unused)]
 
 
 def _check_cells(table: TextTable) -> None:
@@ -83,8 +84,8 @@ def _check_cells(table: TextTable) -> None:
     for row, line in zip(table.rows, table.lines):
         values = [number(cell, table.grouping) for cell in row]
         if None in values or row[1] == "":
-            said = " ".join(row).strip()[:40]
-            raise NacreError(f'{table.path}: holds "{said}" in line {line} where two numbers should stand')
+            text = " ".join(row).strip()[:40]
+            raise NacreError(f'{table.path}: holds "{text}" in line {line} where two numbers should stand')
 
 
 def _converted(columns: Columns, axis: Axis, stated: str | None) -> Floats:
@@ -137,11 +138,11 @@ def spectrum(
         if error.option != "quantity":
             raise
         found = open_file(path, replace(options, quantity=quantities[0]))
-    usable = [(each, quantity) for each in found for quantity in quantities if quantity in each.data]
-    usable = [(each, quantity) for each, quantity in usable if each.kind == "spectrum"]
+    spectra = [each for each in found if each.kind == "spectrum"]
+    usable = [(each, quantity) for each in spectra for quantity in quantities if quantity in each.data]
     if not usable:
-        held = sorted({name for each in found for name in each.data if not name.startswith(("wavelength", "angle"))})
-        raise NacreError(f"{path}: holds {', '.join(held)[:80]} ({found[0].kind}), no {quantities[0]}")
+        names = sorted({name for each in found for name in each.data if not name.startswith(("wavelength", "angle"))})
+        raise NacreError(f"{path}: holds {', '.join(names)[:80]} ({found[0].kind}), no {quantities[0]}")
     visible = [pair for pair in usable if spans_colour(pair[0].data["wavelength_nm"])]
     if len(usable) > 1 and len(visible) == 1 and options.spectrum is None:
         each, quantity = visible[0]
@@ -152,16 +153,16 @@ def spectrum(
     nm, values = np.asarray(each.data["wavelength_nm"], dtype=float), np.asarray(each.data[quantity], dtype=float)
     if "angle_of_incidence_deg" in each.data and len(np.unique(each.data["angle_of_incidence_deg"])) > 1:
         raise NacreError(f"{path}: holds spectra at several angles; keep one")
-    said = [f"{name} is not used" for name in each.data if name not in (quantity, f"{quantity}_error", *_AXES)]
+    remarks = [f"{name} is not used" for name in each.data if name not in (quantity, f"{quantity}_error", *_AXES)]
     angle = each.data.get("angle_of_incidence_deg", each.metadata.get("angle_of_incidence_deg"))
     if angle is not None:
-        said.append(f"was measured at {float(np.ravel(angle)[0]):g} degrees")
+        remarks.append(f"was measured at {float(np.ravel(angle)[0]):g} degrees")
     if each.metadata.get("polarisation") or each.metadata.get("polarisations"):
-        said.append("was measured in polarised light")
+        remarks.append("was measured in polarised light")
     keep = np.isfinite(nm) & np.isfinite(values)
     nm, values = nm[keep], values[keep]
     order = np.argsort(nm, kind="stable")
-    return nm[order], values[order], [*each.assumed, *each.left_out, *said]
+    return nm[order], values[order], [*each.assumed, *each.left_out, *remarks]
 
 
 def _chosen(path: Path, usable: list[tuple[Measurement, str]], options: ReadOptions) -> tuple[Measurement, str]:
@@ -175,44 +176,41 @@ def _chosen(path: Path, usable: list[tuple[Measurement, str]], options: ReadOpti
     return usable[chosen_block(path, options.spectrum, names)]
 
 
-def recipe_curve(context: RecipeContext, key: str, given: FileSpec, axes: Sequence[Axis]) -> Floats:
+def recipe_curve(context: RecipeContext, key: str, spec: FileSpec, axes: Sequence[Axis]) -> Floats:
     """Return `[row, axis]` of a file that a recipe names; assumptions are logged.
 
     Raises:
         RecipeError: with the key and the file's name.
     """
-    path = context.path(given.file)
-    try:
-        found, said = curve(path, axes, given.options)
-    except NacreError as error:
-        raise context.fail(key, given.file, _after(path, error)) from None
-    _log(context, given.file, said)
-    return found
+    table, remarks = _of_recipe(context, key, spec, lambda path: curve(path, axes, spec.options))
+    _log(context, spec, remarks)
+    return table
 
 
-def recipe_spectrum(context: RecipeContext, key: str, given: FileSpec, quantities: Sequence[str]) -> Floats:
+def recipe_spectrum(context: RecipeContext, key: str, spec: FileSpec, quantities: Sequence[str]) -> Floats:
     """Read a spectrum file that a recipe names, `[row, (nm, factor)]`, ascending; log all assumptions.
 
     Raises:
         RecipeError: the file cannot be read; the message contains the key and the file name.
     """
-    path = context.path(given.file)
-    try:
-        nm, values, said = spectrum(path, quantities, given.options)
-    except NacreError as error:
-        raise context.fail(key, given.file, _after(path, error)) from None
-    _log(context, given.file, said)
+    nm, values, remarks = _of_recipe(context, key, spec, lambda path: spectrum(path, quantities, spec.options))
+    _log(context, spec, remarks)
     return np.stack([nm, values], axis=1)
 
 
-def _after(path: Path, error: NacreError) -> str:
-    said = str(error).removeprefix(f"{path}").lstrip(": ")
-    return said if said.startswith(("holds ", "must ")) else f"is not usable: {said}"
+def _of_recipe(context: RecipeContext, key: str, spec: FileSpec, read: Callable[[Path], Content]) -> Content:
+    path = context.path(spec.file)
+    try:
+        return read(path)
+    except NacreError as error:
+        problem = str(error).removeprefix(f"{path}").lstrip(": ")
+        problem = problem if problem.startswith(("holds ", "must ")) else f"is not usable: {problem}"
+        raise context.fail(key, spec.file, problem) from None
 
 
-def _log(context: RecipeContext, name: str, said: Sequence[str]) -> None:
-    if said:
-        logger.warning("%s: %s: %s", context.source, name, "; ".join(said))
+def _log(context: RecipeContext, spec: FileSpec, remarks: Sequence[str]) -> None:
+    if remarks:
+        logger.warning("%s: %s: %s", context.source, spec.file, "; ".join(remarks))
 
 
 # A file of measured data in a recipe or target: its name, or a table with properties that the file lacks.

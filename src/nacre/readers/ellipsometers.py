@@ -16,6 +16,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.ellipsometry_units import (
     ellipsometry,
+    folded,
     numbers,
     row_of,
     same_length,
@@ -41,10 +42,13 @@ REPEATS, OWN_MEAN = (1, 2, 3, 4), 0
 
 def sniff_accurion(head: FileHead) -> float:
     """Return the confidence that a file has this format."""
-    for line in head.lines[:3]:
-        if line.startswith("#") and set(_names_accurion(line)) >= NEEDED:
-            return CERTAIN
-    return 0.0
+    return CERTAIN if _heading_accurion(head.lines[:3]) is not None else 0.0
+
+
+def _heading_accurion(lines: Sequence[str]) -> int | None:
+    """Return the place of the line that names the columns."""
+    places = (place for place, line in enumerate(lines) if line.startswith("#"))
+    return next((place for place in places if set(_names_accurion(lines[place])) >= NEEDED), None)
 
 
 def _names_accurion(line: str) -> list[str]:
@@ -58,7 +62,7 @@ def read_accurion(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: rows are missing or have different lengths.
     """
     lines = text_lines(path)
-    start = next(i for i, line in enumerate(lines) if line.startswith("#") and set(_names_accurion(line)) >= NEEDED)
+    start = _heading_accurion(lines) or 0
     names = _names_accurion(lines[start])
     units: dict[str, str] = {}
     rows = []
@@ -77,11 +81,9 @@ def read_accurion(path: Path, options: ReadOptions) -> list[Measurement]:
         if units.get(angle, "deg") not in ("deg", "\u00b0"):
             raise NacreError(f"{path}: {angle} is in {units[angle]!r}; allowed: deg")
     table["lambda"] = to_nm(table["lambda"], units.get("lambda", "nm"), str(path))
-    left_out: list[str] = []
-    rows_of = _data_sets(table)
     return [
-        _data_set(path, {key: column[index] for key, column in table.items()}, name, options, left_out)
-        for name, index in rows_of
+        _data_set(path, {key: column[index] for key, column in table.items()}, name, options)
+        for name, index in _data_sets(table)
     ]
 
 
@@ -104,23 +106,21 @@ def _data_sets(table: dict[str, Array]) -> list[tuple[str, NDArray[np.intp]]]:
             if not near:
                 centres.append(at)
             place[i] = near[0] if near else len(centres) - 1
-    found = []
-    for r, p in sorted({(r, p) for r, p in zip(region.tolist(), place.tolist())}, key=lambda pair: (pair[1], pair[0])):
+    sets = []
+    for p, r in sorted(set(zip(place.tolist(), region.tolist()))):
         name = [f"region {r:g}"] if len(set(region.tolist())) > 1 else []
         name += [f"x = {centres[p][0]:g} mm, y = {centres[p][1]:g} mm"] if len(centres) > 1 else []
-        found.append((", ".join(name), np.flatnonzero((region == r) & (place == p))))
-    return found
+        sets.append((", ".join(name), np.flatnonzero((region == r) & (place == p))))
+    return sets
 
 
-def _data_set(
-    path: Path, table: dict[str, Array], name: str, options: ReadOptions, left_out: Sequence[str]
-) -> Measurement:
-    keys = list(zip(table["lambda"].tolist(), table["aoi"].tolist()))
+def _data_set(path: Path, table: dict[str, Array], name: str, options: ReadOptions) -> Measurement:
+    keys: list[tuple[float, ...]] = list(zip(table["lambda"].tolist(), table["aoi"].tolist()))
     zone = table.get("zone")
     metadata: dict[str, object] = {}
     if "bandwidth" in table and np.isfinite(table["bandwidth"]).any():
         metadata["bandwidth_nm"] = float(np.nanmedian(table["bandwidth"]))
-    notes, out = [], list(left_out)
+    notes, left_out = [], []
     used = np.isfinite(table["psi"]) & np.isfinite(table["delta"])
     if zone is not None:
         repeats = np.isin(zone, REPEATS)
@@ -128,12 +128,12 @@ def _data_set(
         if repeats.any():
             notes.append("Psi and Delta are means over the zones 1 to 4")
         others = sorted(set(zone.tolist()) - set(REPEATS if repeats.any() else (OWN_MEAN,)))
-        out += [f"zone {each:g} ({np.sum(zone == each)} rows)" for each in others]
+        left_out += [f"zone {each:g} ({np.sum(zone == each)} rows)" for each in others]
         metadata["zones"] = int(len(set(zone[repeats].tolist()))) if repeats.any() else 1
     time = table.get("time")
     is_dynamic = time is not None and zone is None and len(set(zip(keys, time.tolist()))) > len(set(keys))
     if is_dynamic and time is not None:
-        keys = [(w, a, t) for (w, a), t in zip(keys, time.tolist())]  # type: ignore[misc]  # a longer key
+        keys = [(*key, t) for key, t in zip(keys, time.tolist())]
     groups: dict[tuple[float, ...], list[int]] = {}
     for i in np.flatnonzero(used):
         groups.setdefault(keys[i], []).append(int(i))
@@ -143,26 +143,21 @@ def _data_set(
     fewer = sum(len(rows) < most for rows in groups.values())
     if zone is not None and fewer:
         notes.append(f"{fewer} of {len(groups)} angles have fewer than {most} zones")
-    psi, delta = table["psi"], table["delta"]
-    means = [(np.mean(psi[i]), _mean_angle(delta[i])) for i in groups.values()]
+    deltas = [table["delta"][i] for i in groups.values()]
     columns: dict[str, object] = {
         "wavelength_nm": [key[0] for key in groups], "angle_of_incidence_deg": [key[1] for key in groups],
-        "psi_deg": [mean[0] for mean in means], "delta_deg": [mean[1] for mean in means],
+        "psi_deg": [np.mean(table["psi"][i]) for i in groups.values()],
+        "delta_deg": [delta[0] + np.mean(folded(delta - delta[0])) for delta in deltas],
     }  # fmt: skip
     if is_dynamic:
         columns["time_s"] = [key[2] for key in groups]
-    if max(len(i) for i in groups.values()) > 1:
+    if most > 1:
         columns["repeats"] = [len(i) for i in groups.values()]
         if zone is None:
             notes.append("rows of one wavelength and angle are averaged")
     return ellipsometry(
-        path, columns, options, maker="Accurion", name=name, metadata=metadata, assumed=notes, left_out=out
+        path, columns, options, maker="Accurion", name=name, metadata=metadata, assumed=notes, left_out=left_out
     )
-
-
-def _mean_angle(values: Array) -> float:
-    """Return the mean of angles in degrees near the first of them."""
-    return float(values[0] + np.mean(180.0 - np.mod(180.0 - (values - values[0]), 360.0)))
 
 
 # Text of the multi-wavelength ellipsometers FS-1 to FS-8 by Film Sense.
@@ -194,17 +189,17 @@ def read_film_sense(path: Path, options: ReadOptions) -> list[Measurement]:
     if not counts or counts[0] < 1 or counts[0] != int(counts[0]):
         raise NacreError(f"{path}: line 2 must hold the number of wavelengths")
     many = int(counts[0])
-    leds = [numbers(line) for line in lines[2 : 2 + many]]
-    if len(leds) < many or any(row is None for row in leds):
+    leds = [row for line in lines[2 : 2 + many] if (row := numbers(line))]
+    if len(leds) < many:
         raise NacreError(f"{path}: line 2 announces {many} wavelengths; fewer rows follow")
-    wavelengths = to_nm(np.array([row[0] for row in leds if row]), "nm", str(path))
-    angles = [abs(value) for value in counts[1:] if value < 0 and MIN_ANGLE <= -value < MAX_ANGLE]
+    wavelengths = to_nm(np.array([row[0] for row in leds]), "nm", str(path))
+    angles = [-value for value in counts[1:] if MIN_ANGLE <= -value < MAX_ANGLE]
     if lines[0].strip() == DYNAMIC:
         return [_dynamic(path, lines[2 + many :], wavelengths, angles, options)]
-    rows = [numbers(line) for line in lines[2 + many : 2 + 2 * many]]
-    if len(rows) < many or any(row is None or len(row) < 4 for row in rows):
+    rows = [row[:5] for line in lines[2 + many : 2 + 2 * many] if len(row := numbers(line) or []) > 3]
+    if len(rows) < many:
         raise NacreError(f"{path}: {many} rows of N, C, S and P must follow the wavelengths")
-    table = np.array([row[:5] for row in rows if row])
+    table = np.array(rows)
     columns = {"wavelength_nm": wavelengths, "ncs_n": table[:, 0], "ncs_c": table[:, 1], "ncs_s": table[:, 2]}
     columns |= {"degree_of_polarisation": table[:, 3]}
     if table.shape[1] > 4:
@@ -262,10 +257,10 @@ MUELLER = [f"m{i}{j}" for i in range(1, 5) for j in range(1, 5)]
 
 def sniff_horiba(head: FileHead) -> float:
     """Return the confidence that a file has this format."""
-    found = {match[1].upper() for line in head.lines[:400] if (match := SECTION.match(line))}
-    if "DATA" not in found:
+    names = {match[1].upper() for line in head.lines[:400] if (match := SECTION.match(line))}
+    if "DATA" not in names:
         return 0.0
-    return CERTAIN if "INCIDENCE ANGLE" in found else LIKELY if head.path.suffix.lower() == ".spe" else 0.0
+    return CERTAIN if "INCIDENCE ANGLE" in names else LIKELY if head.path.suffix.lower() == ".spe" else 0.0
 
 
 def read_horiba(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -303,11 +298,11 @@ def read_horiba(path: Path, options: ReadOptions) -> list[Measurement]:
             columns[key] = table[:, i]
     if not {"psi_deg", "delta_deg"} <= set(columns) and not {"ncs_c", "ncs_s"} <= set(columns) and "m12" not in columns:
         raise NacreError(f"{path}: has neither Psi and Delta nor Is and Ic; its columns are {', '.join(heading)}")
-    said = " ".join(line for _, line in sections.get("INCIDENCE ANGLE", []))
-    angle = re.search(r"-?\d+(?:[.,]\d+)?", said)
+    del sections["DATA"]
+    metadata = {key.lower(): " ".join(text for _, text in part) for key, part in sections.items()}
+    angle = re.search(r"-?\d+(?:[.,]\d+)?", metadata.get("incidence angle", ""))
     if angle:
         columns["angle_of_incidence_deg"] = np.full(len(table), float(angle[0].replace(",", ".")))
-    metadata = {key.lower(): " ".join(text for _, text in part) for key, part in sections.items() if key != "DATA"}
     return [ellipsometry(path, columns, options, maker="DeltaPsi", metadata=metadata, left_out=left_out)]
 
 
@@ -361,11 +356,9 @@ def read_regress_pro(path: Path, options: ReadOptions) -> list[Measurement]:
         within(path, "alpha", alpha, -1.0, 1.0)
         within(path, "beta", beta, -1.05, 1.05)
         root = np.sqrt(np.maximum(1.0 - alpha**2, 1e-300))
-        columns |= {"alpha": alpha, "beta": beta}
-        columns["tan_psi"] = np.abs(np.tan(np.radians(stated["A"]))) * np.sqrt(
-            (1 + alpha) / np.maximum(1 - alpha, 1e-300)
-        )
-        columns["cos_delta"] = beta / root
+        tangent = np.abs(np.tan(np.radians(stated["A"])))
+        tan_psi = tangent * np.sqrt((1 + alpha) / np.maximum(1 - alpha, 1e-300))
+        columns |= {"alpha": alpha, "beta": beta, "tan_psi": tan_psi, "cos_delta": beta / root}
         notes.append(f"alpha and beta are converted with the azimuth A = {stated['A']:g} degrees")
     elif np.max(np.abs(table[:, 2])) > MAX_DEGREES:
         columns |= {"psi_deg": table[:, 1], "delta_deg": table[:, 2]}
@@ -401,11 +394,11 @@ def sniff_spectraray(head: FileHead) -> float:
 def _bare_angles(lines: list[str]) -> list[float]:
     """Return the angles in a first line that holds each twice or sixteen times behind an empty cell."""
     match = BARE.match(lines[0].rstrip("\t,; ")) if len(lines) > 2 else None
-    found = (numbers(match[1]) or []) if match else []
-    sizes = {len(list(same)) for _, same in groupby(found)}
-    below = numbers(lines[1].rstrip("\t,; ")) if found else None
-    is_angles = len(sizes) == 1 and sizes <= {2, 16} and 0.0 < min(found) and max(found) < 90.0
-    return found if is_angles and below is not None and len(below) == len(found) + 1 else []
+    angles = (numbers(match[1]) or []) if match else []
+    sizes = {len(list(same)) for _, same in groupby(angles)}
+    below = (numbers(lines[1].rstrip("\t,; ")) or []) if angles else []
+    is_repeated = len(sizes) == 1 and sizes <= {2, 16}
+    return angles if is_repeated and 0.0 < min(angles) <= max(angles) < 90.0 and len(below) == len(angles) + 1 else []
 
 
 def read_spectraray(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -415,14 +408,14 @@ def read_spectraray(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: columns that are neither pairs nor sixteen per angle.
     """
     lines = text_lines(path)
-    bare = _bare_angles(lines)
-    start = 0 if bare else next((i for i, line in enumerate(lines) if HEADING.match(line)), None)
+    unnamed = _bare_angles(lines)
+    start = 0 if unnamed else next((i for i, line in enumerate(lines) if HEADING.match(line)), None)
     if start is None:
         raise NacreError(f"{path}: has no heading of SpectraRay, such as ; WAVELENGTH 70 70")
     match = HEADING.match(lines[start])
-    angles = bare or numbers(match[2] if match else "") or []
+    angles = unnamed or numbers(match[2] if match else "") or []
     rows = [
-        (number, row_of(path, number, line, line.rstrip("\t,; ") if bare else line))
+        (number, row_of(path, number, line, line.rstrip("\t,; ") if unnamed else line))
         for number, line in enumerate(lines[start + 1 :], start + 2)
         if line.strip() and not line.lstrip().startswith(";")
     ]
@@ -437,14 +430,14 @@ def read_spectraray(path: Path, options: ReadOptions) -> list[Measurement]:
     if count not in (2, 16):
         shown = ", ".join(f"{size} x {angle:g}" for angle, size in groups)
         raise NacreError(f"{path}: columns {shown}: allowed: 2 per angle (Psi, Delta) or 16 (Mueller matrix)")
-    assumed = ["the wavelengths are in nm"] if bare and options.unit is None else []
-    if bare and count == 2:
-        second = table[:, 2::2]
-        if options.quantity is None and (second.min() >= 0.0 and second.max() <= MOST_PER_CENT):
-            said = "two columns of each angle without names may be Psi and Delta or two reflectances"
-            raise AmbiguousFileError(f"{path}: {said}", "quantity", ("psi",))
-        if table[:, 1::2].max() > MOST_PSI_DEG or table[:, 1::2].min() < 0.0:
-            raise NacreError(f"{path}: the first column of an angle reaches {table[:, 1::2].max():g}; Psi is 0 to 90")
+    assumed = ["the wavelengths are in nm"] if unnamed and options.unit is None else []
+    if unnamed and count == 2:
+        psi, delta = table[:, 1::2], table[:, 2::2]
+        if options.quantity is None and (delta.min() >= 0.0 and delta.max() <= MOST_PER_CENT):
+            problem = "two columns of each angle without names may be Psi and Delta or two reflectances"
+            raise AmbiguousFileError(f"{path}: {problem}", "quantity", ("psi",))
+        if psi.max() > MOST_PSI_DEG or psi.min() < 0.0:
+            raise NacreError(f"{path}: the first column of an angle reaches {psi.max():g}; Psi is 0 to 90")
         assumed.append("of each angle the first column is Psi and the second Delta, in degrees")
     names = ["psi_deg", "delta_deg"] if count == 2 else MUELLER
     cube = table[:, 1:].reshape(len(table), len(groups), count)
@@ -453,9 +446,8 @@ def read_spectraray(path: Path, options: ReadOptions) -> list[Measurement]:
         "angle_of_incidence_deg": np.repeat([angle for angle, _ in groups], len(table)),
         **{name: cube[:, :, i].T.ravel() for i, name in enumerate(names)},
     }
-    maker = "" if bare else "SpectraRay"
-    about = {"unit_in_file": unit}
-    return [ellipsometry(path, columns, options, maker=maker, metadata=about, assumed=assumed)]
+    maker = "" if unnamed else "SpectraRay"
+    return [ellipsometry(path, columns, options, maker=maker, metadata={"unit_in_file": unit}, assumed=assumed)]
 
 
 # CSV that `nacre ellipsometry -o` writes: canonical names as headings.
@@ -530,10 +522,6 @@ def _is_ellipsometry(entry: Any) -> bool:
     return hasattr(entry, "get") and any(path in entry for path in DATA) and any(path in entry for path in ANGLES)
 
 
-def _text(entry: Any, path: str) -> str:
-    return text_of(entry[path][()]) if path in entry else ""
-
-
 def read_nexus_ellipsometry(path: Path, options: ReadOptions) -> list[Measurement]:
     """Return one measurement per entry, angle by angle.
 
@@ -558,7 +546,8 @@ def _entry(path: Path, entry: Any, name: str, options: ReadOptions) -> Measureme
     data, wavelength, angle = (_first(entry, each) for each in (DATA, WAVELENGTHS, ANGLES))
     if wavelength is None:
         raise NacreError(f"{path}: the wavelengths are missing; known places: {', '.join(WAVELENGTHS)}")
-    kind = next((text for each in TYPES if (text := _text(entry, each))), "").lower().replace(" ", "")
+    texts = {each: text_of(entry[each][()]) for each in (*TYPES, *NEXUS_NAMES) if each in entry}
+    kind = next(filter(None, map(texts.get, TYPES)), "").lower().replace(" ", "")
     unit = str(wavelength.attrs.get("units", "")).lower()
     notes = []
     if spectral_unit(unit) is None:
@@ -566,18 +555,19 @@ def _entry(path: Path, entry: Any, name: str, options: ReadOptions) -> Measureme
         notes.append(f"the wavelength is in {unit}: the file names no unit")
     waves = to_nm(np.atleast_1d(wavelength[()]), unit, str(path))
     angles = np.atleast_1d(np.asarray(angle[()], dtype=float))
-    names = {"psi/delta": ["psi_deg", "delta_deg"], "tan(psi)/cos(delta)": ["tan_psi", "cos_delta"]}.get(kind)
-    if names is None and kind in ("muellermatrix", "mueller"):
-        names = MUELLER
+    names = {
+        "psi/delta": ["psi_deg", "delta_deg"], "tan(psi)/cos(delta)": ["tan_psi", "cos_delta"],
+        "muellermatrix": MUELLER, "mueller": MUELLER,
+    }.get(kind)  # fmt: skip
     if names is None:
         raise NacreError(
             f"{path}: data_type = {kind!r} is not known; allowed: psi/delta, tan(psi)/cos(delta), Mueller matrix"
         )
     columns_of = _first(entry, COLUMNS)
     if columns_of is not None and kind == "psi/delta":
-        written = [text_of(each) for each in np.ravel(columns_of[()])]
-        if sorted(word.lower() for word in written) == ["delta", "psi"]:
-            names = [f"{word.lower()}_deg" for word in written]
+        words = [text_of(each).lower() for each in np.ravel(columns_of[()])]
+        if sorted(words) == ["delta", "psi"]:
+            names = [f"{word}_deg" for word in words]
     table = np.asarray(data[()], dtype=float)
     shape = (len(angles), len(names), len(waves))
     if table.size != np.prod(shape) or table.shape[-1] != len(waves):
@@ -593,11 +583,8 @@ def _entry(path: Path, entry: Any, name: str, options: ReadOptions) -> Measureme
     if errors is not None and getattr(errors, "shape", ()) == data.shape:
         spread = np.asarray(errors[()], dtype=float).reshape(shape)
         columns |= {f"{key}_error": spread[:, i].ravel() for i, key in enumerate(names)}
-    metadata = {
-        each.rpartition("/")[2]: text
-        for each in NEXUS_NAMES
-        if (text := _text(entry, each)) not in ("", "NOT_PROVIDED")
-    }
+    stated = {each: text for each in NEXUS_NAMES if (text := texts.get(each, "")) not in ("", "NOT_PROVIDED")}
+    metadata = {each.rpartition("/")[2]: text for each, text in stated.items()}
     metadata["unit_in_file"] = unit
     maker = metadata.get("company", "NXellipsometry")
     return ellipsometry(
@@ -651,21 +638,25 @@ def read_woollam_dat(path: Path, options: ReadOptions) -> list[Measurement]:
             break
     if not unit:
         raise NacreError(f"{path}: the line with the unit (nm, Angstroms or eV) is missing")
-    found = _rows(path, lines, first)
+    rows_of = _rows(path, lines, first)
     metadata = {"comment": lines[0].strip() if start else "", "method": lines[start].strip(), "unit_in_file": unit}
     if "TransmissionMeas=1" in lines[start]:
         metadata["light"] = "transmitted (TransmissionMeas=1)"
-    left_out = [f"{len(rows)} rows of {word}" for word, rows in found.items() if not _is_known(word)]
+    readable = {*PSI_DELTA, DEPOLARISATION, *POWERS}
+    left_out = [
+        f"{len(rows)} rows of {word}"
+        for word, rows in rows_of.items()
+        if word not in readable and not WOOLLAM_MUELLER.match(word)
+    ]
     results = []
-    for word, rows in found.items():
+    for word, rows in rows_of.items():
         if word in PSI_DELTA:
-            table = same_length(path, rows)
-            columns = psi_delta_columns(path, table, unit, trig)
+            columns = psi_delta_columns(path, same_length(path, rows), unit, trig)
             results.append(
                 ellipsometry(path, columns, options, maker=WOOLLAM_DAT_MAKER, metadata=metadata, left_out=left_out)
             )
-    results += _mueller(path, found, unit, options, metadata)
-    for word, rows in found.items():
+    results += _mueller(path, rows_of, unit, options, metadata)
+    for word, rows in rows_of.items():
         if word in POWERS or word == DEPOLARISATION:
             results.append(_other(path, word, same_length(path, rows), unit, metadata))
     if not results:
@@ -675,18 +666,12 @@ def read_woollam_dat(path: Path, options: ReadOptions) -> list[Measurement]:
 
 def _rows(path: Path, lines: Sequence[str], first: int) -> dict[str, list[tuple[int, list[float]]]]:
     """Return numbered rows by their leading word in lower case ("" for none)."""
-    found: dict[str, list[tuple[int, list[float]]]] = {}
+    rows: dict[str, list[tuple[int, list[float]]]] = {}
     for number, line in enumerate(lines[first:], first + 1):
-        if not line.strip():
-            continue
         match = re.match(r"\s*([A-Za-z]\w*)?\s*(.*)$", line)
-        assert match is not None
-        found.setdefault((match[1] or "").lower(), []).append((number, row_of(path, number, line, match[2])))
-    return found
-
-
-def _is_known(word: str) -> bool:
-    return word in (*PSI_DELTA, DEPOLARISATION) or word in POWERS or bool(WOOLLAM_MUELLER.match(word))
+        if match and line.strip():
+            rows.setdefault((match[1] or "").lower(), []).append((number, row_of(path, number, line, match[2])))
+    return rows
 
 
 def psi_delta_columns(path: Path, table: Array, unit: str, trig: bool) -> dict[str, Array]:
@@ -714,13 +699,13 @@ def psi_delta_columns(path: Path, table: Array, unit: str, trig: bool) -> dict[s
 
 def _mueller(
     path: Path,
-    found: dict[str, list[tuple[int, list[float]]]],
+    rows_of: dict[str, list[tuple[int, list[float]]]],
     unit: str,
     options: ReadOptions,
     metadata: dict[str, str],
 ) -> list[Measurement]:
     """Return the elements of the Mueller matrix, relative to m11, as one measurement."""
-    elements = {word: same_length(path, rows) for word, rows in found.items() if WOOLLAM_MUELLER.match(word)}
+    elements = {word: same_length(path, rows) for word, rows in rows_of.items() if WOOLLAM_MUELLER.match(word)}
     if not elements:
         return []
     first = next(iter(elements.values()))
@@ -750,9 +735,9 @@ def _other(path: Path, word: str, table: Array, unit: str, metadata: dict[str, s
     }  # fmt: skip
     if table.shape[1] > 3:
         data[f"{name}_error"] = scale * table[:, 3]
-    said = {**metadata, "polarisation": polarisation} if polarisation else metadata
-    kind = "spectrum" if polarisation else "ellipsometry"
-    return Measurement(path, kind, data, word, said)  # type: ignore[arg-type]  # both are kinds
+    if not polarisation:
+        return Measurement(path, "ellipsometry", data, word, metadata)
+    return Measurement(path, "spectrum", data, word, {**metadata, "polarisation": polarisation})
 
 
 # Text exports of WVASE: wavelength, incidence angle, Psi and Delta, with or without a heading.
@@ -800,12 +785,11 @@ def _heading(lines: list[str]) -> tuple[int, str, bool] | None:
 def _looks_like_psi_delta(table: np.ndarray) -> bool:
     """Whether four unnamed columns are wavelength, a few incidence angles, Psi and Delta."""
     wavelength, angle, psi, delta = table.T
-    if not (np.all((wavelength > 0.1) & (wavelength < 60_000)) and np.all((angle > 10) & (angle < 90))):
-        return False
-    if not (np.all((psi >= 0) & (psi <= 90)) and np.all((delta >= -180) & (delta <= 360))):
-        return False
-    pairs = len({(w, a) for w, a in zip(wavelength, angle)})
-    return pairs == len(table) and len(np.unique(wavelength)) * len(np.unique(angle)) <= 2 * len(table)
+    in_range = (wavelength > 0.1) & (wavelength < 60_000) & (angle > 10) & (angle < 90)
+    in_range &= (psi >= 0) & (psi <= 90) & (delta >= -180) & (delta <= 360)
+    pairs = len(np.unique(table[:, :2], axis=0))
+    is_grid = pairs == len(table) and len(np.unique(wavelength)) * len(np.unique(angle)) <= 2 * len(table)
+    return is_grid and bool(in_range.all())
 
 
 def read_woollam_text(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -817,16 +801,16 @@ def read_woollam_text(path: Path, options: ReadOptions) -> list[Measurement]:
     lines = text_lines(path)
     heading = _heading(lines)
     assumed: list[str] = []
-    first, unit, trig = (0, "", False) if heading is None else (heading[0] + 1, heading[1], heading[2])
-    unit = options.unit or unit
+    line, unit, trig = heading or (-1, "", False)
+    first, unit = line + 1, options.unit or unit
     if not unit:
-        values = [row[0] for line in lines if (row := numbers(line))]
+        values = [row[0] for text in lines if (row := numbers(text))]
         unit = "eV" if values and max(values) < 20 else "nm" if values and max(values) <= 3000 else "angstrom"
         assumed.append(f"the first column has no heading: the wavelength in {unit}")
     if heading is None:
         assumed.append("the file has no heading: the columns are taken as wavelength, angle of incidence, Psi, Delta")
     numbered = enumerate(lines[first:], first + 1)
-    rows = [(number, row_of(path, number, line)) for number, line in numbered if line.strip()]
+    rows = [(number, row_of(path, number, text)) for number, text in numbered if text.strip()]
     columns = psi_delta_columns(path, same_length(path, rows), unit, trig)
     metadata = {"unit_in_file": unit, "comment": " ".join(lines[: max(first - 1, 0)]).strip()}
     return [ellipsometry(path, columns, options, maker="WVASE", metadata=metadata, assumed=assumed)]

@@ -38,13 +38,6 @@ def text_lines(path: Path) -> list[str]:
     return load_text(path).splitlines()
 
 
-def end_is_open(path: Path) -> tuple[str, ...]:
-    """Return a sentence if the last line has no line end, as in a truncated file."""
-    data = path.read_bytes()
-    is_closed = data.rstrip(b" \t\x00\x1a")[-1:] in (b"\n", b"\r", b"")
-    return () if is_closed else ("the last line has no line end; its last number may be cut",)
-
-
 def numbers(text: str) -> list[float] | None:
     """Return the numbers of a line separated by blanks, tabs, commas or semicolons; None if a cell is not a number.
 
@@ -80,17 +73,17 @@ def to_nm(values: Array, unit: str, where: str) -> Array:
     Raises:
         NacreError: an unknown unit, or a value outside 100 nm to 60 um, which indicates a wrong unit.
     """
-    known = spectral_unit(unit)
-    if known is None:
+    canonical = spectral_unit(unit)
+    if canonical is None:
         raise NacreError(f"{where}: the unit {unit!r} of the wavelength is not known; allowed: {ALLOWED_UNITS}")
-    found = units.to_nm(values, known)
-    if not np.all((found >= MIN_NM) & (found <= MAX_NM)):
-        worst = found[~((found >= MIN_NM) & (found <= MAX_NM))][0]
+    nm = units.to_nm(values, canonical)
+    outside = nm[~((nm >= MIN_NM) & (nm <= MAX_NM))]
+    if outside.size:
         raise NacreError(
-            f"{where}: wavelength = {worst:g} nm is not a wavelength of an ellipsometer; allowed: {MIN_NM:g} to "
+            f"{where}: wavelength = {outside[0]:g} nm is not a wavelength of an ellipsometer; allowed: {MIN_NM:g} to "
             f"{MAX_NM:g} nm; the unit {unit} may be wrong"
         )
-    return found
+    return nm
 
 
 def folded(delta_deg: Array) -> Array:
@@ -134,7 +127,7 @@ def delta_convention(
                 "incidence",
             )
         return "positive", (f"Delta is taken as positive (exp(+i w t)): it {flat}, as of a bare metal or wafer",)
-    if not above and _is_bare(wavelength, angle, psi, delta):
+    if not above and _is_bare_surface(wavelength, angle, psi, delta):
         return "negative", (
             "Delta is taken as negative (exp(-i w t)): the pseudo-dielectric function is equal at all angles, as of a "
             "bare surface, which absorbs only with this sign",
@@ -147,7 +140,7 @@ def delta_convention(
     )
 
 
-def _is_bare(wavelength: Array, angle: Array, psi: Array, delta: Array) -> bool:
+def _is_bare_surface(wavelength: Array, angle: Array, psi: Array, delta: Array) -> bool:
     """Whether the pseudo-dielectric functions agree at two or more angles."""
     eps = pseudo_epsilon(psi, delta, angle)
     angles = np.unique(angle)
@@ -189,7 +182,9 @@ def ellipsometry(
         AmbiguousFileError: no angle, or an undecided Delta sign.
     """
     data = {key: np.asarray(value, dtype=float) for key, value in columns.items()}
-    notes = [*assumed, *(() if is_binary else end_is_open(path))]
+    notes = [*assumed]
+    if not is_binary and path.read_bytes().rstrip(b" \t\x00\x1a")[-1:] not in (b"\n", b"\r", b""):
+        notes.append("the last line has no line end; its last number may be cut")
     wavelength = data["wavelength_nm"]
     if not len(wavelength):
         raise NacreError(f"{path}: contains no rows of data")
@@ -206,8 +201,8 @@ def ellipsometry(
         within(path, "psi_deg", data["psi_deg"], 0.0, 90.0)
         within(path, "delta_deg", data["delta_deg"], -180.0, 360.0)
     if "delta_deg" in data and "delta_sign" not in extra:
-        extra["delta_convention"], said = _convention(path, data, options, maker)
-        notes += said
+        extra["delta_convention"], reasons = _convention(path, data, options, maker)
+        notes += reasons
     notes += _unequal_blocks(wavelength, angle, data.get("time_s", data.get("time")))
     order = {key: data[key] for key in ("wavelength_nm", "angle_of_incidence_deg")}
     return Measurement(path, "ellipsometry", {**order, **data}, name, extra, tuple(notes), tuple(left_out))
@@ -244,8 +239,7 @@ def _complete(path: Path, data: dict[str, Array], extra: dict[str, Any]) -> None
             within(path, "ncs_n", data["ncs_n"], -1.1, 1.1)
             data["psi_deg"] = np.degrees(0.5 * np.arccos(np.clip(data["ncs_n"], -1.0, 1.0)))
             data["delta_deg"] = np.degrees(np.arctan2(s, c))
-    elements = [f"m{i}{j}" for i in range(1, 5) for j in range(1, 5) if f"m{i}{j}" in data]
-    for name in elements:
+    for name in [f"m{i}{j}" for i in range(1, 5) for j in range(1, 5) if f"m{i}{j}" in data]:
         largest = np.nanmedian(np.abs(data[name])) / np.nanmedian(data.get("m11", np.ones(1)))
         if not largest <= MOST_MUELLER:
             raise NacreError(

@@ -98,20 +98,15 @@ def node(file: h5py.Group, name: str) -> Any:
     for part in name.split("/"):
         if not isinstance(where, h5py.Group):
             return None
-        link = where.get(part, getlink=True) if part in where.keys() or _is_link(where, part) else None
-        if link is None:
+        if not (part in where or where.id.links.exists(part.encode())):  # a link may lead nowhere
             return None
+        link = where.get(part, getlink=True)
         if isinstance(link, h5py.ExternalLink):
             raise Hdf5Error(f'leads to another file at "{name}"')
         if isinstance(link, h5py.SoftLink):
             raise Hdf5Error(f'holds a soft link at "{name}"; store the data there itself')
         where = where[part]
     return where
-
-
-def _is_link(group: h5py.Group, name: str) -> bool:
-    """Return whether a link has this name, also one that leads nowhere."""
-    return bool(group.id.links.exists(name.encode()))
 
 
 def dataset(file: h5py.Group, name: str) -> Any:
@@ -168,7 +163,4 @@ def text_of(value: Any) -> str:
 
 def attribute(attributes: Mapping[str, Any], *names: str) -> str:
     """Return the first attribute of these names as text, or ""."""
-    for name in names:
-        if name in attributes:
-            return text_of(attributes[name])
-    return ""
+    return next((text_of(attributes[name]) for name in names if name in attributes), "")

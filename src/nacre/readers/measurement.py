@@ -155,13 +155,7 @@ class FileHead:
 
 
 UNITS = {"nm": "nm", "um": "um", "deg": "deg", "s": "s", "ev": "eV"}
-_UNIT_OF = {
-    "counts": "counts",
-    "bsdf": "1/sr",
-    "X": "Y of white = 100",
-    "Y": "Y of white = 100",
-    "Z": "Y of white = 100",
-}
+_UNIT_OF = {"counts": "counts", "bsdf": "1/sr", **dict.fromkeys("XYZ", "Y of white = 100")}
 # long arrays of the metadata are shortened in the description
 MAX_ITEMS = 8
 
@@ -204,17 +198,17 @@ def describe(measurement: Measurement, show: int = 0) -> dict[str, Any]:
 def points(measurement: Measurement) -> int:
     """Return a table's row count or a map's sample count."""
     sizes = [np.shape(values) for values in measurement.data.values()]
-    if measurement.kind in ("heights", "colours") and sizes:
-        return int(sizes[0][0]) if measurement.kind == "colours" else int(np.prod(sizes[0]))
+    if measurement.kind == "heights" and sizes:
+        return int(np.prod(sizes[0]))
     return int(sizes[0][0]) if sizes and sizes[0] else 0
 
 
 def lines(measurement: Measurement, title: str, show: int = 0) -> list[str]:
     """Return a measurement's description as text lines."""
-    found = describe(measurement, show)
+    description = describe(measurement, show)
     name = f' "{measurement.name}"' if measurement.name else ""
-    shown = [f"{measurement.path}:{name} {measurement.kind}, {found['points']} points; format: {title}"]
-    for key, entry in found["quantities"].items():
+    shown = [f"{measurement.path}:{name} {measurement.kind}, {description['points']} points; format: {title}"]
+    for key, entry in description["quantities"].items():
         shape = "" if len(entry["shape"]) < 2 else f", {' x '.join(map(str, entry['shape']))}"
         reach = f"  {entry['min']:.6g} to {entry['max']:.6g}" if "min" in entry else ""
         unit = "" if entry["unit"] == "1" or key.endswith(f"_{entry['unit']}") else f" {entry['unit']}"
@@ -224,9 +218,9 @@ def lines(measurement: Measurement, title: str, show: int = 0) -> list[str]:
         shown.append(f"  {key} = {_short(value)}")
     shown += [f"  assumed: {text}" for text in measurement.assumed]
     shown += [f"  left out: {text}" for text in measurement.left_out]
-    if show > 0 and found["rows"]:
-        shown.append("  " + "  ".join(found["rows"][0]))
-        shown += ["  " + "  ".join(_cell(value) for value in row.values()) for row in found["rows"]]
+    if rows := description.get("rows"):
+        shown.append("  " + "  ".join(rows[0]))
+        shown += ["  " + "  ".join(_cell(value) for value in row.values()) for row in rows]
     return shown
 
 
@@ -272,11 +266,11 @@ def _csv(measurements: Sequence[Measurement]) -> str:
     tables = [_stated(measurement, _columns(measurement)) for measurement in measurements]
     heading = list(dict.fromkeys(name for columns in tables for name in columns))
     several = len(measurements) > 1
-    writer.writerow((["sample"] if several else []) + heading)
+    writer.writerow(["sample"] * several + heading)
     for label, columns in zip(_labels(measurements), tables, strict=True):
-        for row in range(max((len(column) for column in columns.values()), default=0)):
+        for row in range(max(map(len, columns.values()), default=0)):
             cells = [_cell(columns[name][row]) if name in columns else "" for name in heading]
-            writer.writerow(([label] if several else []) + cells)
+            writer.writerow([label] * several + cells)
     return out.getvalue()
 
 
@@ -308,7 +302,7 @@ def _stated(measurement: Measurement, columns: dict[str, Any]) -> dict[str, Any]
     """Return the columns of a spectrum with its angle, polarisation and mode, so that the table states them."""
     if measurement.kind != "spectrum" or not columns:
         return columns
-    facts, count = measurement.metadata, max(len(column) for column in columns.values())
+    facts, count = measurement.metadata, max(map(len, columns.values()))
     mode = facts.get("mode")
     if mode in ("specular", "diffuse", "total"):
         columns = {
@@ -317,17 +311,14 @@ def _stated(measurement: Measurement, columns: dict[str, Any]) -> dict[str, Any]
         }
     if facts.get("angle_of_incidence_deg") is not None and "angle_of_incidence_deg" not in columns:
         columns["angle_of_incidence_deg"] = np.full(count, float(facts["angle_of_incidence_deg"]))
-    polarisations = facts.get("polarisations") or (
-        [facts["polarisation"]] * count if facts.get("polarisation") else None
-    )
-    if polarisations is not None:
-        columns["polarisation"] = list(polarisations)
+    if facts.get("polarisations") or facts.get("polarisation"):
+        columns["polarisation"] = list(facts.get("polarisations") or [facts["polarisation"]] * count)
     return columns
 
 
 def _rows(measurement: Measurement, show: int) -> list[dict[str, Any]]:
     columns = _columns(measurement)
-    count = min(show, max((len(column) for column in columns.values()), default=0))
+    count = min(show, max(map(len, columns.values()), default=0))
     return [
         {name: _plain(column[row]) for name, column in columns.items() if row < len(column)} for row in range(count)
     ]
@@ -351,9 +342,8 @@ def _short(value: Any) -> str:
 def _plain(value: Any) -> Any:
     """Return a value in types of JSON."""
     if isinstance(value, np.ndarray | np.generic):
-        array: NDArray[Any] = np.asarray(value)
-        value = array.tolist()
-    if isinstance(value, dict) or hasattr(value, "items"):
+        value = np.asarray(value).tolist()
+    if hasattr(value, "items"):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]

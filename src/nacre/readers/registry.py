@@ -111,11 +111,10 @@ def format_named(name: str) -> Format:
     Raises:
         NacreError: the name is unknown.
     """
-    for entry in FORMATS:
-        if entry.id == name:
-            return entry
-    ids = [entry.id for entry in FORMATS]
-    raise NacreError(f'format = "{name}" is not known.{did_you_mean(name, ids)} Allowed: {", ".join(ids)}')
+    formats = {entry.id: entry for entry in FORMATS}
+    if name not in formats:
+        raise NacreError(f'format = "{name}" is not known.{did_you_mean(name, formats)} Allowed: {", ".join(formats)}')
+    return formats[name]
 
 
 def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Measurement]:
@@ -182,19 +181,19 @@ def _check_quantity(path: Path, measurements: Sequence[Measurement], options: Re
     label = label_of(options.quantity or "")
     names = {options.quantity, label.quantity if label else None}
     if options.quantity is not None and optical and not any(names & set(each.data) for each in optical):
-        held = ", ".join(dict.fromkeys(name for each in optical for name in each.data))
-        raise NacreError(f'{path}: quantity = "{options.quantity}" is not in the file, which holds {held}')
+        in_file = ", ".join(dict.fromkeys(name for each in optical for name in each.data))
+        raise NacreError(f'{path}: quantity = "{options.quantity}" is not in the file, which holds {in_file}')
 
 
 def _unused(measurement: Measurement, options: ReadOptions) -> list[str]:
     """Return remarks on options that the file overrides: incidence angle and pitch."""
-    said = []
-    for key, given in (("angle_of_incidence_deg", options.angle_deg), ("pitch_um", options.pitch_um)):
+    remarks = []
+    for key, requested in (("angle_of_incidence_deg", options.angle_deg), ("pitch_um", options.pitch_um)):
         stated = measurement.data.get(key, measurement.metadata.get(key))
-        if given is not None and stated is not None and not np.allclose(stated, given, rtol=1e-4):
+        if requested is not None and stated is not None and not np.allclose(stated, requested, rtol=1e-4):
             option = key.replace("of_incidence_", "")
-            said.append(f"the file states {np.ravel(stated)[0]:g}; {option} = {given} is not used")
-    return said
+            remarks.append(f"the file states {np.ravel(stated)[0]:g}; {option} = {requested} is not used")
+    return remarks
 
 
 def _is_cut(path: Path) -> bool:
@@ -255,15 +254,12 @@ def appearance(head: FileHead) -> str:
     if re.match(r"\{|\[\s*[\[{\"\d-]", start):
         return "a JSON file"
     lines = [line for line in head.lines if line.strip()]
-    first = lines[0].strip()[:60] if lines else ""
-    return f'text that begins with "{first}"'
+    return f'text that begins with "{"".join(lines[:1]).strip()[:60]}"'
 
 
 def unknown_file(head: FileHead, known: Sequence[str]) -> str:
     """Return the one-line message for a file that no reader recognises; `known`: titles of all formats."""
-    words = {head.path.suffix.lstrip(".").lower()} | {
-        word.lower() for word in head.text[:400].split() if word.isalpha()
-    }
+    words = {head.path.suffix.lstrip(".").lower(), *(w.lower() for w in head.text[:400].split() if w.isalpha())}
     titles = {word.lower().strip("().,"): title for title in known for word in title.split()}
     near = dict.fromkeys(
         titles[close] for word in sorted(words) if len(word) > 3

@@ -57,19 +57,19 @@ def shown(text: str, most: int = 20) -> str:
 
 def complex_of(values: Any) -> ComplexArray:
     """Return complex numbers, also from two fields."""
-    found = np.asarray(values)
-    if found.dtype.names is not None and len(found.dtype.names) == 2:
-        real, imaginary = found.dtype.names
-        return np.asarray(found[real] + 1j * found[imaginary], dtype=complex)
-    return np.asarray(found, dtype=complex)
+    array = np.asarray(values)
+    if array.dtype.names is not None and len(array.dtype.names) == 2:
+        real, imaginary = array.dtype.names
+        array = array[real] + 1j * array[imaginary]
+    return np.asarray(array, dtype=complex)
 
 
 def si_unit(attributes: Any, kind: str, name: str) -> float:
     """Return a unit in SI."""
-    given = attribute(attributes, "unit", "units", "Unit")
-    if not given.strip():
+    stated = attribute(attributes, "unit", "units", "Unit")
+    if not stated.strip():
         raise TMatrixFileError(f"gives {name} without a unit")
-    text, sign = given.strip(), 1.0
+    text, sign = stated.strip(), 1.0
     if name.startswith("angular") and text.startswith("rad"):  # some files write the dimensionless rad
         text = text.removeprefix("rad").strip(" *·")
         text = f"1{text}" if text.startswith("/") else text
@@ -87,7 +87,7 @@ def si_unit(attributes: Any, kind: str, name: str) -> float:
         prefix = "?"
     if prefix not in PREFIXES:
         raise TMatrixFileError(
-            f'gives {name} in "{shown(given)}", which is not a unit of {kind} there; it should be {UNITS[kind]}'
+            f'gives {name} in "{shown(stated)}", which is not a unit of {kind} there; it should be {UNITS[kind]}'
         )
     return float(PREFIXES[prefix] ** power)
 
@@ -119,29 +119,30 @@ def wavelengths_of(file: h5py.File, count: int) -> tuple[Array, str, str]:
     Raises:
         TMatrixFileError: none, several, no unit, another number than of matrices, or values that no light has.
     """
-    named = [name for name in SPECTRAL if name in file.keys()]
-    if len(named) != 1:
+    names = [name for name in SPECTRAL if name in file.keys()]
+    if len(names) != 1:
         raise TMatrixFileError(
-            f"gives {' and '.join(named) or 'no wavelength'}; it should give one of {', '.join(SPECTRAL)}"
+            f"gives {' and '.join(names) or 'no wavelength'}; it should give one of {', '.join(SPECTRAL)}"
         )
-    found = dataset(file, named[0])
-    if found is None:
-        raise TMatrixFileError(f"gives no numbers of {named[0]}")
-    kind, to_wavelength = SPECTRAL[named[0]]
-    raw = np.atleast_1d(np.asarray(found[()], dtype=float)).ravel()
-    unit = attribute(found.attrs, "unit", "units", "Unit").strip()
-    values = raw * si_unit(found.attrs, kind, named[0])
+    (name,) = names
+    stored = dataset(file, name)
+    if stored is None:
+        raise TMatrixFileError(f"gives no numbers of {name}")
+    kind, to_wavelength = SPECTRAL[name]
+    raw = np.atleast_1d(np.asarray(stored[()], dtype=float)).ravel()
+    unit = attribute(stored.attrs, "unit", "units", "Unit").strip()
+    values = raw * si_unit(stored.attrs, kind, name)
     if not np.all(np.isfinite(values) & (values > 0)):
-        raise TMatrixFileError(f"gives a {named[0]} that is not above 0")
+        raise TMatrixFileError(f"gives a {name} that is not above 0")
     wavelengths = np.round(to_wavelength(values) * 1e9, 9)  # rounded, so that 500 nm given in metres is exactly 500
     if not np.all((wavelengths > WAVELENGTHS_NM[0]) & (wavelengths < WAVELENGTHS_NM[1])):
         likely = "; are these nm?" if kind == "length" and 100.0 < raw.min() and raw.max() < 1e5 else ""
-        raise TMatrixFileError(f"gives a {named[0]} of {raw[0]:.6g} {shown(unit)}{likely}")
+        raise TMatrixFileError(f"gives a {name} of {raw[0]:.6g} {shown(unit)}{likely}")
     if len(wavelengths) != count:
         raise TMatrixFileError(f"holds {count} matrices for {len(wavelengths)} wavelengths")
     if len(np.unique(wavelengths)) != count:
         raise TMatrixFileError("gives a wavelength twice")
-    return wavelengths, named[0], unit
+    return wavelengths, name, unit
 
 
 def embedding_index(file: h5py.File, count: int) -> Array:
@@ -158,8 +159,8 @@ def embedding_index(file: h5py.File, count: int) -> Array:
         return np.asarray(np.broadcast_to(complex_of(found[()]).ravel(), (count,)))
 
     for name, plain in (("relative_permeability", 1.0), ("chirality", 0.0), ("chirality_parameter", 0.0)):
-        given = number(name)
-        if given is not None and np.any(np.abs(given - plain) > 1e-9):
+        value = number(name)
+        if value is not None and np.any(np.abs(value - plain) > 1e-9):
             raise TMatrixFileError("has a magnetic or chiral medium around the particle")
     epsilon, stated = number("relative_permittivity"), number("refractive_index")
     index = np.sqrt(epsilon) if epsilon is not None else stated
@@ -181,7 +182,7 @@ def modes_of(file: h5py.File, side: str) -> tuple[NDArray[np.int64], NDArray[np.
     Raises:
         TMatrixFileError: a name is missing, or no multipoles.
     """
-    found = []
+    columns = []
     for name in MODE_NAMES:
         values = dataset(file, f"modes/{name}_{side}")
         values = dataset(file, f"modes/{name}") if values is None else values
@@ -189,19 +190,18 @@ def modes_of(file: h5py.File, side: str) -> tuple[NDArray[np.int64], NDArray[np.
             raise TMatrixFileError(f'does not name its modes: "modes/{name}" is missing')
         if values.size > 20 * HIGHEST_ORDER**2 * 16:
             raise TMatrixFileError(f"names {values.size} modes")
-        found.append(np.asarray(values[()]))
-    l, m = (np.asarray(v, dtype=float).ravel() for v in found[:2])
+        columns.append(np.asarray(values[()]))
+    l, m = (np.asarray(v, dtype=float).ravel() for v in columns[:2])
     if np.any(l != np.round(l)) or np.any(m != np.round(m)) or np.any(l < 1) or np.any(np.abs(m) > l):
         raise TMatrixFileError("names modes that do not exist; allowed: whole numbers l >= 1 and |m| <= l")
-    words = [text_of(w).strip().lower() for w in _rows_of_text(found[2], len(l))]
+    words = [text_of(w).strip().lower() for w in _rows_of_text(columns[2], len(l))]
     return l.astype(np.int64), m.astype(np.int64), words
 
 
 def _rows_of_text(values: NDArray[Any], count: int) -> list[Any]:
     """Return one text per mode; MATLAB stores characters or their codes in two dimensions, in either order."""
-    if values.ndim == 2 and values.shape[0] != 1 and values.shape[1] != 1:
-        rows = values if values.shape[0] == count else values.T
-        return list(rows)
+    if values.ndim == 2 and 1 not in values.shape:
+        return list(values if values.shape[0] == count else values.T)
     return list(values.ravel())
 
 

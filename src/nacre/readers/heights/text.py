@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import struct
@@ -41,18 +42,13 @@ def read_nacre_heights(path: Path, options: ReadOptions) -> list[Measurement]:
     head, *rows = [line for line in text.splitlines() if line.strip()]
     stated = START.match(head)
     surface.check_unit(path, options, "um")
-    feature_um = float(stated[1]) if stated and stated[1] else _described(path)
+    feature_um: float | None = float(stated[1]) if stated and stated[1] else None
+    if feature_um is None:
+        with contextlib.suppress(OSError, ValueError, LookupError, TypeError):  # the description may be missing
+            with path.with_name(path.name + ".json").open("rb") as file:
+                feature_um = float(json.loads(file.read(1 << 20))["feature_um"])
     pitch = (feature_um, feature_um) if feature_um else surface.requested_pitch(path, options)
     return [surface.height_map(path, surface.matrix(rows, path).T[::-1], pitch, metadata={"is_period": True})]
-
-
-def _described(path: Path) -> float | None:
-    """Return `feature_um`, the feature size, from the JSON description beside the file, if it exists."""
-    try:
-        with path.with_name(path.name + ".json").open("rb") as file:
-            return float(json.loads(file.read(1 << 20))["feature_um"])
-    except (OSError, ValueError, LookupError, TypeError):
-        return None
 
 
 # Text matrices of digital holographic microscopes: phase in radians with a factor to metres in the head.
@@ -120,25 +116,17 @@ def sniff_xyz(head: FileHead) -> float:
     heading, rows = _parts(surface.decoded(head.data))
     if heading and not XYZ_HEADING.match(heading):
         return 0.0
-    rows = rows[:-1] if len(head.data) < head.size else rows
-    try:
-        values = surface.numbers("\n".join(rows[:4000]) + "\n", head.path)
-    except NacreError:
-        return 0.0
-    rows = rows[:4000]
+    rows = (rows[:-1] if len(head.data) < head.size else rows)[:4000]
+    values = surface.numbers("\n".join(rows) + "\n", head.path)
     if len(rows) > 4 and len(rows[-1].replace(",", " ").split()) < 3:  # cut; `read` refuses it
         values, rows = values[: 3 * (len(rows) - 1)], rows[:-1]
     if len(rows) < 4 or values.size != 3 * len(rows):
         return 0.0
     if heading:
         return LIKELY
-    x, y = values.reshape(-1, 3)[:, :2].T
-    repeats = min(len(x) / len(np.unique(x)), len(y) / len(np.unique(y)))
     # on a grid, one coordinate repeats along a row and the other from row to row
-    is_line = max(len(x) / len(np.unique(x)), len(y) / len(np.unique(y))) > 1.5 and (
-        repeats > 1.5 or len(head.data) < head.size
-    )
-    return LIKELY if is_line else 0.0
+    least, most = sorted(len(x) / len(np.unique(x)) for x in values.reshape(-1, 3)[:, :2].T)
+    return LIKELY if most > 1.5 and (least > 1.5 or len(head.data) < head.size) else 0.0
 
 
 def read_xyz(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -154,12 +142,13 @@ def read_xyz(path: Path, options: ReadOptions) -> list[Measurement]:
     if values.size != 3 * len(rows) or not rows:
         raise NacreError(f"{path}: its rows do not all hold x, y and z")
     x, y, z = values.reshape(-1, 3).T
-    named = _units(heading)
-    missing_units = [axis for axis, unit in zip("xyz", named, strict=True) if unit is None]
-    asked = surface.requested_unit(path, options, " and ".join(missing_units)) if missing_units else 1.0
-    if not missing_units:
+    units = _units(heading)
+    missing_units = [axis for axis, unit in zip("xyz", units, strict=True) if unit is None]
+    if missing_units:
+        requested = surface.requested_unit(path, options, " and ".join(missing_units))
+        units = [unit or requested for unit in units]
+    else:
         surface.check_unit(path, options, UNIT.findall(heading)[-1])
-    factors = [asked if unit is None else unit for unit in named]
     column, columns, dx = _places(x, path)
     row, count, dy = _places(y, path)
     heights = np.full((count, columns), np.nan)
@@ -170,18 +159,21 @@ def read_xyz(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(f"{path}: its points are not grid: {len(z)} of {heights.size} nodes are given")
     missing = int(np.isnan(heights).sum())
     assumed = [f"{missing} of {heights.size} points of the grid are not in the file and are holes"] if missing else []
-    pitch = dx * factors[0], dy * factors[1]
-    return [surface.height_map(path, heights * factors[2], pitch, metadata={"rows": "y ascending"}, assumed=assumed)]
+    x_unit, y_unit, z_unit = (unit or 1.0 for unit in units)
+    heights *= z_unit
+    return [
+        surface.height_map(path, heights, (dx * x_unit, dy * y_unit), metadata={"rows": "y ascending"}, assumed=assumed)
+    ]
 
 
 def _units(heading: str) -> list[float | None]:
     """Return the unit of x, y and z in um, None where the heading states none."""
-    found = [surface.length_um(unit) for unit in UNIT.findall(heading)]
+    units = [surface.length_um(unit) for unit in UNIT.findall(heading)]
+    if len(units) == 3:
+        return units
     cells = [cell for cell in re.split(r"[\t,;]+|\s{2,}", heading.strip()) if cell.strip()]
-    if len(found) == 3 or len(cells) != 3:
-        return found if len(found) == 3 else [None] * 3
-    each = [UNIT.search(cell) for cell in cells]
-    return [surface.length_um(match[1]) if match else None for match in each]
+    matches = [UNIT.search(cell) for cell in cells] if len(cells) == 3 else [None] * 3
+    return [surface.length_um(match[1]) if match else None for match in matches]
 
 
 def _places(values: Array, path: Path) -> tuple[np.ndarray, int, float]:
@@ -235,15 +227,10 @@ def sniff_matrix(head: FileHead) -> float:
     rows = _rows(surface.decoded(head.data))[:9]
     is_cut = len(head.data) < head.size
     rows = rows[:-1] if is_cut and len(rows) < 9 and len(rows) > 1 else rows
-    try:
-        values = [surface.numbers(row + "\n", head.path) for row in rows]
-    except NacreError:
-        return 0.0
+    values = [surface.numbers(row + "\n", head.path) for row in rows]
     columns = len(values[0]) if values else 0
     is_long_row = is_cut and columns > 1000
-    if columns < LEAST_SIDE or (len(values) < LEAST_SIDE and not is_long_row):
-        return 0.0
-    if any(len(v) != columns for v in values):
+    if columns < LEAST_SIDE or (len(values) < LEAST_SIDE and not is_long_row) or any(len(v) != columns for v in values):
         return 0.0
     first = np.diff([v[0] for v in values])
     rises = len(first) > 2 and bool(np.all(first > 0) or np.all(first < 0))
@@ -269,10 +256,10 @@ def read_matrix(path: Path, options: ReadOptions) -> list[Measurement]:
     steps, factor = _coordinate_steps(values), surface.requested_unit(path, options)
     if steps is None:
         return [surface.height_map(path, values * factor, surface.requested_pitch(path, options))]
-    said = f"the first row and column are coordinates in steps of {steps[0]:g} and {steps[1]:g}"
+    remark = f"the first row and column are coordinates in steps of {steps[0]:g} and {steps[1]:g}"
     if options.pitch_um is None:
-        raise AmbiguousFileError(f"{path}: {said} without a unit; state the steps in um: pitch_um", "pitch_um")
-    return [surface.height_map(path, values[1:, 1:] * factor, options.pitch_um, left_out=[said])]
+        raise AmbiguousFileError(f"{path}: {remark} without a unit; state the steps in um: pitch_um", "pitch_um")
+    return [surface.height_map(path, values[1:, 1:] * factor, options.pitch_um, left_out=[remark])]
 
 
 # Line profiles of stylus instruments, which are not height maps: recognised in order to be refused by name.
@@ -300,10 +287,7 @@ def sniff_profile(head: FileHead) -> float:
     if any(DEEPER.match(line) for line in lines[1:100]):
         return LIKELY
     rows = lines[:200]
-    try:
-        values = surface.numbers("\n".join(rows) + "\n", head.path)
-    except NacreError:
-        return 0.0
+    values = surface.numbers("\n".join(rows) + "\n", head.path)
     if len(rows) < 10 or values.size != 2 * len(rows):
         return 0.0
     steps = np.diff(values[::2])
