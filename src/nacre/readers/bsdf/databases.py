@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,12 +40,10 @@ def read_alta(path: Path, options: ReadOptions) -> list[Measurement]:
     table: list[list[float]] = []
     for number, line in enumerate(load_text(path).splitlines(), start=1):
         words = line.split()
-        if not words:
-            continue
-        if words[0].startswith("#"):
+        if words and words[0].startswith("#"):
             head.setdefault(words[0].lstrip("#").upper(), words[1:])
-            continue
-        table.append(row_of_numbers(path, number, line, words))
+        elif words:
+            table.append(row_of_numbers(path, number, line, words))
     parameters, output = (head.get(key, ["?"])[0].upper() for key in ("PARAM_IN", "PARAM_OUT"))
     try:
         inputs, outputs = (int(word) for word in head["DIM"][:2])
@@ -72,20 +71,20 @@ def read_alta(path: Path, options: ReadOptions) -> list[Measurement]:
 
 def _angles(path: Path, parameters: str, x: Array) -> Array:
     """Return direction pairs in degrees."""
-    zero = np.zeros(len(x))
-    if parameters == "CARTESIAN" and x.shape[1] == 6:
-        light, viewer = angles_deg(x[:, :3]), angles_deg(x[:, 3:])
-        return pairs_of(light[:, 0], light[:, 1], viewer[:, 0], viewer[:, 1])
-    if parameters == "SPHERICAL_TL_PL_TV_PV" and x.shape[1] == 4:
-        return np.degrees(x) % 360.0
-    if parameters == "ISOTROPIC_TV_TL_DPHI" and x.shape[1] == 3:
-        return pairs_of(np.degrees(x[:, 1]), zero, np.degrees(x[:, 0]), np.degrees(x[:, 2]) % 360.0)
-    if parameters == "ISOTROPIC_TV_TL" and x.shape[1] == 2:
-        return pairs_of(np.degrees(x[:, 1]), zero, np.degrees(np.abs(x[:, 0])), np.where(x[:, 0] < 0, 0.0, 180.0))
-    if parameters == "RUSIN_TH_PH_TD_PD" and x.shape[1] == 4:
-        return pairs_of_half_angles(*x.T)
-    if parameters == "RUSIN_TH_TD_PD" and x.shape[1] == 3:
-        return pairs_of_half_angles(x[:, 0], zero, x[:, 1], x[:, 2])
+    zero, degrees = np.zeros(len(x)), np.degrees(x)
+    match parameters, x.shape[1]:
+        case "CARTESIAN", 6:
+            return np.concatenate([angles_deg(x[:, :3]), angles_deg(x[:, 3:])], axis=1)
+        case "SPHERICAL_TL_PL_TV_PV", 4:
+            return degrees % 360.0
+        case "ISOTROPIC_TV_TL_DPHI", 3:
+            return pairs_of(degrees[:, 1], zero, degrees[:, 0], degrees[:, 2] % 360.0)
+        case "ISOTROPIC_TV_TL", 2:
+            return pairs_of(degrees[:, 1], zero, np.abs(degrees[:, 0]), np.where(x[:, 0] < 0, 0.0, 180.0))
+        case "RUSIN_TH_PH_TD_PD", 4:
+            return pairs_of_half_angles(*x.T)
+        case "RUSIN_TH_TD_PD", 3:
+            return pairs_of_half_angles(x[:, 0], zero, x[:, 1], x[:, 2])
     raise NacreError(f"{path}: PARAM_IN = {parameters} with {x.shape[1]} numbers does not give direction pairs")
 
 
@@ -110,11 +109,8 @@ def sniff_merl(head: FileHead) -> float:
 
 def bin_angles() -> tuple[Array, Array, Array]:
     """Return theta_half, theta_diff and phi_diff (radians) at the bin centres, each `[half, diff, phi]`."""
-    half = ((np.arange(SHAPE[0]) + 0.5) / SHAPE[0]) ** 2 * (np.pi / 2)
-    diff = (np.arange(SHAPE[1]) + 0.5) / SHAPE[1] * (np.pi / 2)
-    phi = (np.arange(SHAPE[2]) + 0.5) / SHAPE[2] * np.pi
-    first, second, third = np.meshgrid(half, diff, phi, indexing="ij")
-    return first, second, third
+    half, diff, phi = np.meshgrid(*((np.arange(n) + 0.5) / n for n in SHAPE), indexing="ij")
+    return half**2 * (np.pi / 2), diff * (np.pi / 2), phi * np.pi
 
 
 def read_raw(path: str | Path) -> Array:
@@ -151,11 +147,9 @@ def bin_remarks(table: Array) -> list[str]:
     above = int(np.sum(invalid & is_up()))
     remarks = [f"{above} of {int(is_up().sum())} bins above the surface are invalid (-1)"] if above else []
     for channel, colour in enumerate(("red", "green", "blue")):
-        below = table[..., channel] < 0
-        if np.any(below):
-            remarks.append(
-                f"{int(below.sum())} bins are negative in {colour}, down to {np.nanmin(table[..., channel]):.3g}"
-            )
+        negative = table[..., channel][table[..., channel] < 0]
+        if negative.size:
+            remarks.append(f"{negative.size} bins are negative in {colour}, down to {negative.min():.3g}")
     return remarks
 
 
@@ -168,8 +162,8 @@ def read_merl(path: Path, options: ReadOptions) -> list[Measurement]:
     data = {name: angles[:, i] for i, name in enumerate(DEGREES)} | {COLOURS["rgb"]: table[up]}
     metadata = {"scatter": "brdf", "pairs": len(angles), "shape": SHAPE}
     below = int(np.sum(~is_up()))
-    left = [f"{below} of {up.size} bins lie below the surface", *bin_remarks(table)]
-    return [Measurement(path, "bsdf", data, "", metadata, (), tuple(left))]
+    left_out = (f"{below} of {up.size} bins lie below the surface", *bin_remarks(table))
+    return [Measurement(path, "bsdf", data, "", metadata, (), left_out)]
 
 
 # UTIA BRDF files: float64 planes of RGB on a uniform grid, without a head (Filip and Vavra 2014).
@@ -243,9 +237,8 @@ class Warp:
         conditional[:, 1:] = np.cumsum((density[:, 1:] + density[:, :-1]) / 2, axis=1)
         totals = conditional[:, -1]
         marginal = np.concatenate([[0.0], np.cumsum((totals[1:] + totals[:-1]) / 2)])
-        whole = marginal[-1]
-        scale = (rows - 1) * (columns - 1) / whole
-        return cls(density * scale, conditional / whole, marginal / whole)
+        total = marginal[-1]
+        return cls(density * ((rows - 1) * (columns - 1) / total), conditional / total, marginal / total)
 
     def sample(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Map uniform (x, y) in [0, 1]^2 to a position; x runs along columns, y along rows."""
@@ -254,20 +247,14 @@ class Warp:
         row = np.clip(np.searchsorted(self.marginal, y, side="right") - 1, 0, rows - 2)
         totals = self.conditional[:, -1]
         v = _solve(totals[row], totals[row + 1], y - self.marginal[row])
-        target = x * self._blended(row, v, -1)
+        target = x * _blended(self.conditional, row, v, -1)
         column = np.zeros(len(x), dtype=int)
         for step in 2 ** np.arange(columns.bit_length())[::-1]:  # by bisection: the last column that is not beyond
             further = np.minimum(column + step, columns - 2)
-            column = np.where(self._blended(row, v, further) <= target, further, column)
-        left = ((1 - v) * self.density[row, column] + v * self.density[row + 1, column]) * self._unit
-        right = ((1 - v) * self.density[row, column + 1] + v * self.density[row + 1, column + 1]) * self._unit
-        u = _solve(left, right, target - self._blended(row, v, column))
+            column = np.where(_blended(self.conditional, row, v, further) <= target, further, column)
+        left, right = (_blended(self.density, row, v, column + side) * self._unit for side in (0, 1))
+        u = _solve(left, right, target - _blended(self.conditional, row, v, column))
         return (column + u) / (columns - 1), (row + v) / (rows - 1)
-
-    def _blended(self, row: Any, v: Array, column: Any) -> Array:
-        """Return the running integral to a column, between two rows."""
-        blended: Array = (1 - v) * self.conditional[row, column] + v * self.conditional[row + 1, column]
-        return blended
 
     def invert(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Map a position back to the uniform (x, y) from which `sample` produces it."""
@@ -277,11 +264,9 @@ class Warp:
         fu, fv = cu - column, cv - row
         totals = self.conditional[:, -1]
         y = self.marginal[row] + fv * (totals[row] + 0.5 * fv * (totals[row + 1] - totals[row]))
-        left = ((1 - fv) * self.density[row, column] + fv * self.density[row + 1, column]) * self._unit
-        right = ((1 - fv) * self.density[row, column + 1] + fv * self.density[row + 1, column + 1]) * self._unit
-        below = (1 - fv) * self.conditional[row, column] + fv * self.conditional[row + 1, column]
-        whole = (1 - fv) * totals[row] + fv * totals[row + 1]
-        x = (below + fu * (left + 0.5 * fu * (right - left))) / np.maximum(whole, 1e-300)
+        left, right = (_blended(self.density, row, fv, column + side) * self._unit for side in (0, 1))
+        below, total = (_blended(self.conditional, row, fv, end) for end in (column, -1))
+        x = (below + fu * (left + 0.5 * fu * (right - left))) / np.maximum(total, 1e-300)
         return np.clip(x, 0.0, 1.0), np.clip(y, 0.0, 1.0)
 
     @property
@@ -289,6 +274,12 @@ class Warp:
         """Scale from density to running integrals."""
         rows, columns = self.density.shape
         return 1.0 / ((rows - 1) * (columns - 1))
+
+
+def _blended(table: Array, row: Any, v: Array, column: Any) -> Array:
+    """Interpolate between two rows of a table."""
+    blended: Array = (1 - v) * table[row, column] + v * table[row + 1, column]
+    return blended
 
 
 def _solve(start: Array, end: Array, area: Array) -> Array:
@@ -326,7 +317,7 @@ def _parse_tensor(data: bytes) -> dict[str, NDArray[Any]]:
     position = len(MAGIC)
     _, _, count = struct.unpack_from("<BBI", data, position)
     position += 6
-    found: dict[str, NDArray[Any]] = {}
+    fields: dict[str, NDArray[Any]] = {}
     for _ in range(count):
         (length,) = struct.unpack_from("<H", data, position)
         name = data[position + 2 : position + 2 + length].decode()
@@ -336,13 +327,11 @@ def _parse_tensor(data: bytes) -> dict[str, NDArray[Any]]:
         shape = struct.unpack_from(f"<{rank}Q", data, position)
         position += 8 * rank
         dtype = np.dtype("<" + TYPES[code])
-        number = 1
-        for extent in shape:
-            number *= extent
+        number = math.prod(shape)
         if number * dtype.itemsize > MAX_FIELD_BYTES:
             raise ValueError("field too large")
-        found[name] = np.frombuffer(data, dtype, number, offset).reshape(shape)
-    return found
+        fields[name] = np.frombuffer(data, dtype, number, offset).reshape(shape)
+    return fields
 
 
 NEEDED = ("theta_i", "phi_i", "ndf", "sigma", "vndf", "jacobian")
@@ -535,11 +524,10 @@ def read_rgl(path: Path, options: ReadOptions) -> list[Measurement]:
     """
     table = RglBsdf.read(path)
     angles, values = table.samples()
-    is_rgb = table.wavelengths_nm is None
     metadata = {
         "scatter": "brdf", "is_isotropic": table.is_isotropic, "theta_i_deg": np.degrees(table.theta_i),
         "phi_i_deg": np.degrees(table.phi_i), "shape": table.values.shape,
     }  # fmt: skip
-    left = ["samples whose exit direction lies below the surface"]
-    return [measurement(path, angles, table.wavelengths_nm, values, metadata,
-                        colour="rgb" if is_rgb else None, left_out=left)]  # fmt: skip
+    colour = "rgb" if table.wavelengths_nm is None else None
+    left_out = ["samples whose exit direction lies below the surface"]
+    return [measurement(path, angles, table.wavelengths_nm, values, metadata, colour=colour, left_out=left_out)]

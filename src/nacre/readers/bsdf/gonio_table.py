@@ -68,16 +68,15 @@ def sniff_gonio(head: FileHead) -> float:
 
 def _heading_rows(text: str) -> list[list[str]]:
     """Return the cells of the lines before the first row of numbers, remark signs removed; nearest first."""
-    found: list[list[str]] = []
+    heads: list[list[str]] = []
     for line in text.splitlines():
-        plain = line.strip().lstrip("#%! ").strip()
-        if not plain:
-            continue
         if re.match(r"[-+.]?\d", line.strip()):
             break
+        plain = line.strip().lstrip("#%! ").strip()
         mark = next((m for m in (";", "\t", ",") if m in plain), None)
-        found.append([cell.strip().strip('"') for cell in plain.split(mark)])
-    return found[::-1]
+        if plain:
+            heads.append([cell.strip().strip('"') for cell in plain.split(mark)])
+    return heads[::-1]
 
 
 def heading(cells: Sequence[str]) -> Heading:
@@ -136,19 +135,19 @@ def read_gonio(path: Path, options: ReadOptions) -> list[Measurement]:
         AmbiguousFileError: a unit or the quantity is not stated.
     """
     known, table = _table(path, options)
-    assumed: list[str] = []
     if "theta_i" not in known.place or "theta_o" not in known.place:
         raise NacreError(
             f"{path}: has no column for the polar angle of both directions; name them theta_i, theta_o, "
             "and give a constant one its own column"
         )
-    angles, notes = _angles(path, known, table, options)
-    assumed += notes
+    angles, assumed = _angles(path, known, table, options)
     for space, columns in known.colour.items():
         if len(columns) != 3:
             raise NacreError(f"{path}: has {len(columns)} of the three channels {space.upper()}")
-        assumed += ["reflectance factors were divided by pi"] if options.quantity == QUANTITIES[1] else []
-        channels = table[:, columns] / (np.pi if options.quantity == QUANTITIES[1] else 1.0)
+        channels = table[:, columns]
+        if options.quantity == "reflectance_factor":
+            channels = channels / np.pi
+            assumed.append("reflectance factors were divided by pi")
         return [measurement(path, angles, None, channels, colour=space, assumed=assumed)]
     values, waves, notes = _values(path, known, table, options)
     assumed += notes
@@ -165,8 +164,8 @@ def _long(
     path: Path, known: Heading, table: Array, angles: Array, waves: Array, values: Array, assumed: list[str]
 ) -> Measurement:
     """Return one row per direction pair and wavelength, in the file's order."""
-    made = measurement(path, angles, None, values, {"pairs": len(np.unique(angles, axis=0))} | _side(known),
-                          assumed=assumed)  # fmt: skip
+    facts = {"pairs": len(np.unique(angles, axis=0))} | _side(known)
+    made = measurement(path, angles, None, values, facts, assumed=assumed)
     data = dict(made.data)
     value = data.pop("bsdf")
     data |= {"wavelength_nm": waves, "bsdf": value}
@@ -224,8 +223,7 @@ def _angles(path: Path, known: Heading, table: Array, options: ReadOptions) -> t
     if not np.all(np.isfinite(raw)):
         raise NacreError(f"{path}: an angle is missing in {int(np.sum(~np.isfinite(raw).all(axis=1)))} rows")
     unit = known.angle_unit or (options.unit if options.unit in ("deg", "rad") else None)
-    angles, notes = angles_in_degrees(path, raw, unit)
-    assumed = list(notes)
+    angles, assumed = angles_in_degrees(path, raw, unit), []
     for name, column in (("theta_i", 0), ("theta_o", 2)):
         bad = np.abs(angles[:, column]) > 180
         if np.any(bad):
@@ -316,10 +314,10 @@ def axis(words: Iterator[str], count: int) -> Array:
     """
     if not 1 <= count <= MAX_AXIS:
         raise ValueError(f"{count} nodes")
-    found = numbers(words, count)
-    if np.any(np.diff(found) <= 0) or not np.all(np.isfinite(found)):
+    nodes = numbers(words, count)
+    if np.any(np.diff(nodes) <= 0) or not np.all(np.isfinite(nodes)):
         raise ValueError("axis does not ascend")
-    return found
+    return nodes
 
 
 def pairs_of(theta_i: Array, phi_i: Array, theta_o: Array, phi_o: Array) -> Array:
@@ -352,9 +350,9 @@ def wavelengths_in_nm(path: Path, values: Array, unit: str | None) -> tuple[Arra
     """
     if np.any(values <= 0) or not np.all(np.isfinite(values)):
         raise NacreError(f"{path}: wavelength = {np.min(values):g} is not above 0")
-    known = spectral_unit(unit or "")
-    if known is not None:
-        return to_nm(values, known), ()
+    canonical = spectral_unit(unit or "")
+    if canonical is not None:
+        return to_nm(values, canonical), ()
     if UM_RANGE[0] <= values.min() and values.max() <= UM_RANGE[1]:
         return np.round(values * 1e3, 6), ("wavelengths have no unit and are below 25; they were read in um",)
     if values.min() < UM_RANGE[1]:
@@ -364,7 +362,7 @@ def wavelengths_in_nm(path: Path, values: Array, unit: str | None) -> tuple[Arra
     return values, ()
 
 
-def angles_in_degrees(path: Path, angles: Array, unit: str | None) -> tuple[Array, tuple[str, ...]]:
+def angles_in_degrees(path: Path, angles: Array, unit: str | None) -> Array:
     """Convert angles `[row, column]` to degrees.
 
     Args:
@@ -373,10 +371,8 @@ def angles_in_degrees(path: Path, angles: Array, unit: str | None) -> tuple[Arra
     Raises:
         AmbiguousFileError: no unit, and all numbers fit radians.
     """
-    if unit == "rad":
-        return np.degrees(angles), ()
-    if unit == "deg":
-        return angles, ()
+    if unit is not None:
+        return np.degrees(angles) if unit == "rad" else angles
     thetas, widest = np.abs(angles[:, [0, 2]]).max(), np.abs(angles[:, [1, 3]]).max()
     if 0.0 < thetas <= np.pi / 2 * (1 + 1e-3) and widest <= 2 * np.pi * (1 + 1e-3):
         raise AmbiguousFileError(
@@ -385,7 +381,7 @@ def angles_in_degrees(path: Path, angles: Array, unit: str | None) -> tuple[Arra
             "unit",
             ("deg", "rad"),
         )
-    return angles, ()
+    return angles
 
 
 def measurement(
@@ -417,13 +413,10 @@ def measurement(
         if wavelengths_nm is not None:
             data["wavelength_nm"] = np.tile(wavelengths_nm, len(angles))
         data["bsdf"] = values.reshape(-1)
-    return Measurement(
-        path, "bsdf", data, name, {"scatter": scatter, "pairs": len(angles)} | dict(metadata or {}),
-        (*assumed, *_remarks(values)[0]), (*left_out, *_remarks(values)[1])
-    )  # fmt: skip
-
-
-def _remarks(values: Array) -> tuple[list[str], list[str]]:
     missing, negative = int(np.sum(~np.isfinite(values))), int(np.sum(values < 0))
-    kept = [f"{negative} of {values.size} values are below 0 and are kept"] if negative else []
-    return kept, [f"{missing} of {values.size} values are missing"] if missing else []
+    if negative:
+        assumed = [*assumed, f"{negative} of {values.size} values are below 0 and are kept"]
+    if missing:
+        left_out = [*left_out, f"{missing} of {values.size} values are missing"]
+    facts = {"scatter": scatter, "pairs": len(angles)} | dict(metadata or {})
+    return Measurement(path, "bsdf", data, name, facts, tuple(assumed), tuple(left_out))

@@ -6,7 +6,7 @@ import json
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,17 +43,16 @@ def read_astm_e1392(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: the head or a row is invalid, or the row count contradicts NUM_POINTS.
     """
     lines = load_text(path).splitlines()
-    start = next((i for i, line in enumerate(lines) if _VARS.match(line)), None)
-    if start is None:
+    start, match = next(((i, match) for i, line in enumerate(lines) if (match := _VARS.match(line))), (0, None))
+    if match is None:
         raise NacreError(f"{path}: has no line VARS=theta_i,phi_i,theta_s,phi_s,...")
-    match = _VARS.match(lines[start])
-    names = [name.strip() for name in (match[1] if match else "").split(",") if name.strip()]
+    names = [name.strip() for name in match[1].split(",") if name.strip()]
     if tuple(n.lower() for n in names[:4]) != ASTM_E1392_ANGLES or len(names) < 5:
         raise NacreError(f"{path}: VARS = {','.join(names)[:80]} is not theta_i,phi_i,theta_s,phi_s and values")
     table = _rows(path, lines, start + 1, len(names))
-    said = next((int(m[1]) for line in lines[:start] if (m := re.match(r"\s*NUM_POINTS\s*=?\s*(\d+)", line))), None)
-    if said is not None and said != len(table):
-        raise NacreError(f"{path}: NUM_POINTS = {said}, but the file has {len(table)} rows")
+    count = next((int(m[1]) for line in lines[:start] if (m := re.match(r"\s*NUM_POINTS\s*=?\s*(\d+)", line))), None)
+    if count is not None and count != len(table):
+        raise NacreError(f"{path}: NUM_POINTS = {count}, but the file has {len(table)} rows")
     is_degrees = options.unit == "deg" or (
         options.unit != "rad" and float(np.abs(table[:, [0, 2]]).max()) > np.pi / 2 * (1 + 1e-3)
     )
@@ -61,12 +60,10 @@ def read_astm_e1392(path: Path, options: ReadOptions) -> list[Measurement]:
     assumed = [f"angles are in {'degrees' if is_degrees else 'radians'} by their range"] if options.unit is None else []
     angles = gonio_table.unsigned(angles)
     colour, waves, notes = _channels(path, names[4:])
-    metadata = {"scatter": "btdf" if any("btdf" in n.lower() for n in names[4:]) else "brdf", "vars": names}
     head = [line.strip() for line in lines[:start] if line.strip()]
-    return [
-        measurement(path, angles, waves, table[:, 4:], metadata | {"head": head}, colour=colour,
-                       assumed=[*assumed, *notes])
-    ]  # fmt: skip
+    scatter = "btdf" if any("btdf" in n.lower() for n in names[4:]) else "brdf"
+    metadata = {"scatter": scatter, "vars": names, "head": head}
+    return [measurement(path, angles, waves, table[:, 4:], metadata, colour=colour, assumed=[*assumed, *notes])]
 
 
 def _rows(path: Path, lines: list[str], start: int, width: int) -> Array:
@@ -126,11 +123,8 @@ def read_ssdd(path: Path, options: ReadOptions) -> list[Measurement]:
     found: list[Measurement] = []
     entries: dict[str, str] = {}
     while place < len(data):
-        end = data.find(b"\n", place)
-        end = len(data) if end < 0 else end
-        line = data[place:end].decode("utf-8", "replace").partition("# ")[0].strip()
-        place = end + 1
-        name, _, value = line.partition(" ")
+        line, place = _line(data, place)
+        name, _, value = line.decode("utf-8", "replace").partition("# ")[0].strip().partition(" ")
         if not name or name.startswith("#"):
             continue
         entries[name] = value.strip()
@@ -145,6 +139,13 @@ def read_ssdd(path: Path, options: ReadOptions) -> list[Measurement]:
     if not found:
         raise NacreError(f"{path}: holds no data block")
     return found
+
+
+def _line(data: bytes, place: int) -> tuple[bytes, int]:
+    """Return the line that begins at a place, and the place of the next one."""
+    end = data.find(b"\n", place)
+    end = len(data) if end < 0 else end
+    return data[place:end], end + 1
 
 
 def _block_ssdd(path: Path, entries: dict[str, str], data: bytes, place: int) -> tuple[Measurement, int]:
@@ -186,10 +187,8 @@ def _values(mode: str, data: bytes, place: int, count: int) -> tuple[Array, int]
         raise ValueError(mode)
     numbers: list[float] = []
     while len(numbers) < count and place < len(data):
-        end = data.find(b"\n", place)
-        end = len(data) if end < 0 else end
-        numbers += [float(w) for w in data[place:end].partition(b"#")[0].split()]
-        place = end + 1
+        line, place = _line(data, place)
+        numbers += [float(w) for w in line.partition(b"#")[0].split()]
     if len(numbers) != count:
         raise ValueError("count")
     return np.array(numbers), place
@@ -262,9 +261,9 @@ def read_brdf_json(path: Path, options: ReadOptions) -> list[Measurement]:
     if error is not None:
         data["bsdf_error"] = _column(path, rows, names, place, units, (error,))
     used = {*sum(BRDF_JSON_ANGLES, ()), *WAVES, "brdf", "btdf", "bsdf", "ubrdf", "ubtdf", "ubsdf"}
-    left = [f"variable {name} was not read" for name in names if name.lower() not in used]
+    left_out = (*made.left_out, *(f"variable {name} was not read" for name in names if name.lower() not in used))
     ordered = {key: data[key] for key in (*gonio_table.DEGREES, "wavelength_nm", "bsdf", "bsdf_error") if key in data}
-    return [Measurement(path, made.kind, ordered, made.name, made.metadata, tuple(assumed), (*made.left_out, *left))]
+    return [replace(made, data=ordered, assumed=tuple(assumed), left_out=left_out)]
 
 
 def _column(
@@ -372,8 +371,8 @@ def _block_window_xml(
                 "shape": values.shape}  # fmt: skip
     assumed = ["azimuths of incident and outgoing patches are as the basis counts them",
                f"the values are means over the range {label or 'of the file'}"]  # fmt: skip
-    return gonio_table.measurement(path, angles, None, values.reshape(-1, 1), metadata,
-                       name=f"{name} {label} {side}".strip(), assumed=assumed)  # fmt: skip
+    title = f"{name} {label} {side}".strip()
+    return measurement(path, angles, None, values.reshape(-1, 1), metadata, name=title, assumed=assumed)
 
 
 # Speos files as text: scattering surfaces (parameters) and measured BSDFs (`.brdf`, `.anisotropicbsdf`).
@@ -440,12 +439,13 @@ def _scattering(path: Path, lines: list[str]) -> Measurement:
 
 def _simple(path: Path, lines: list[str]) -> Measurement:
     """Read the wavelength-independent form: rows of reflected and transmitted shares as in the full form."""
-    found = [float(word) for word in " ".join(lines[2:]).split()]
-    if len(found) != 2 * len(ROWS):
+    shares = [float(word) for word in " ".join(lines[2:]).split()]
+    if len(shares) != 2 * len(ROWS):
         raise NacreError(
-            f"{path}: a simple scattering file holds {2 * len(ROWS)} numbers below its two lines; this has {len(found)}"
+            f"{path}: a simple scattering file holds {2 * len(ROWS)} numbers below its two lines; this has "
+            f"{len(shares)}"
         )
-    table = np.reshape(found, (1, len(ROWS), 1, 2))
+    table = np.reshape(shares, (1, len(ROWS), 1, 2))
     return _model(path, "simple_scattering", lines, np.zeros(1), None, table)
 
 
@@ -467,10 +467,10 @@ def _model(
             column = table[:, row, :, side].reshape(-1)
             key = f"{name}_{word}_deg" if is_angle else f"{name}_{word}"
             data[key] = column if is_angle else column / 100.0
-    left = ("parameters of a model, not samples of a BSDF",)
+    left_out = ("parameters of a model, not samples of a BSDF",)
     metadata = {"scatter": "model", "title": lines[0].strip(), "comment": lines[1].strip(),
-                "incidences": len(theta), "wavelengths_nm": wavelengths}  # fmt: skip
-    return Measurement(path, "bsdf", data, lines[1].strip(), metadata | {"form": form}, (), left)
+                "incidences": len(theta), "wavelengths_nm": wavelengths, "form": form}  # fmt: skip
+    return Measurement(path, "bsdf", data, lines[1].strip(), metadata, (), left_out)
 
 
 def _head(lines: list[str]) -> tuple[list[str], str]:
@@ -490,16 +490,6 @@ def _blocks(words: Iterator[str]) -> tuple[Array, Array, Array]:
     phi = axis(words, phis)
     rows = numbers(words, thetas * (phis + 1)).reshape(thetas, phis + 1)
     return rows[:, 0], phi, rows[:, 1:]
-
-
-def _scaled(theta: Array, phi: Array, values: Array, percent: float, is_bsdf: bool) -> Array:
-    """Return the BSDF whose hemispherical integral is the stated share.
-
-    Values are proportional to the BSDF, or to the intensity (BSDF times cosine).
-    """
-    f = values if is_bsdf else _over_cosine(theta[:, None], values)
-    total = hemispherical_share(theta, phi, f)
-    return np.asarray(f * (percent / 100.0 / total)) if total > 0 else f
 
 
 def _over_cosine(theta: Array, intensity: Array) -> Array:
@@ -541,7 +531,7 @@ def _measured(path: Path, lines: list[str]) -> list[Measurement]:
     sides, is_bsdf = [int(next(words)), int(next(words))], int(next(words)) == 1
     count, waves = int(next(words)), int(next(words))
     incidence, wavelengths = axis(words, count), axis(words, waves)
-    found = []
+    parts = []
     for scatter, has in zip(("brdf", "btdf"), sides, strict=True):
         if not has:
             continue
@@ -551,22 +541,19 @@ def _measured(path: Path, lines: list[str]) -> list[Measurement]:
             for _ in range(waves):
                 percent = float(next(words))
                 theta, phi, table = _blocks(words)
-                scaled = _scaled(theta, phi, table, percent, is_bsdf)
+                f = table if is_bsdf else _over_cosine(theta[:, None], table)
+                total = hemispherical_share(theta, phi, f)
+                scaled = f * (percent / 100.0 / total) if total > 0 else f
                 columns.append(_pairs(0.0, float(at), (theta, phi, scaled)))
             if any(not np.array_equal(c[0], columns[0][0]) for c in columns):
                 raise ValueError("angles differ between wavelengths")
             angles.append(columns[0][0])
             values.append(np.stack([c[1] for c in columns], axis=-1))
-        found.append(_made(path, "brdf", scatter, np.concatenate(angles), wavelengths, np.concatenate(values),
-                           {"title": lines[0].strip(), "description": text}))  # fmt: skip
-    return found
-
-
-def _made(
-    path: Path, form: str, scatter: str, angles: Array, waves: Array | None, values: Array, metadata: dict[str, Any]
-) -> Measurement:
-    assumed = ["values are scaled to the file's share of reflected or transmitted light"]
-    return measurement(path, angles, waves, values, metadata | {"scatter": scatter, "form": form}, assumed=assumed)
+        metadata = {"title": lines[0].strip(), "description": text, "scatter": scatter, "form": "brdf"}
+        assumed = ["values are scaled to the file's share of reflected or transmitted light"]
+        parts.append(measurement(path, np.concatenate(angles), wavelengths, np.concatenate(values), metadata,
+                                 assumed=assumed))  # fmt: skip
+    return parts
 
 
 def _anisotropic(path: Path, lines: list[str]) -> list[Measurement]:
@@ -581,28 +568,21 @@ def _anisotropic(path: Path, lines: list[str]) -> list[Measurement]:
             grids[scatter] = [(float(turn), axis(words, int(next(words)))) for turn in rotations]
     spectra = {}
     for scatter in grids:
-        at = numbers(words, 2)
-        rows = numbers_after_text(words)
-        spectra[scatter] = (at, rows)
-    found = []
+        numbers(words, 2)  # the direction of the spectrum
+        spectra[scatter] = numbers_after_text(words).T
+    parts = []
     for scatter, turns in grids.items():
-        (_, spectrum), angles, values = spectra[scatter], [], []
+        (waves, percent), pairs = spectra[scatter], []
         for turn, incidences in turns:
-            for at in incidences:
-                block = _blocks(words)
-                pair, value = _pairs(turn, float(at), block)
-                angles.append(pair)
-                values.append(value)
-        value = np.concatenate(values)
-        theta = np.concatenate(angles)[:, 2]
-        f = value if is_bsdf else _over_cosine(theta, value)
-        share = spectrum[:, 1] / max(float(spectrum[:, 1].max()), 1e-300)
+            pairs += [_pairs(turn, float(at), _blocks(words)) for at in incidences]
+        angles, value = (np.concatenate(part) for part in zip(*pairs))
+        f = value if is_bsdf else _over_cosine(angles[:, 2], value)
+        share = percent / max(float(percent.max()), 1e-300)
         metadata = {"title": lines[0].strip(), "description": text, "anisotropy_vector": vector,
-                    "reference_spectrum_percent": spectrum[:, 1], "scatter": scatter}  # fmt: skip
+                    "reference_spectrum_percent": percent, "scatter": scatter}  # fmt: skip
         assumed = ["the file's spectrum at one direction, relative to its maximum, multiplies all directions"]
-        found.append(measurement(path, np.concatenate(angles), spectrum[:, 0],
-                                 f[:, None] * share, metadata, assumed=assumed))  # fmt: skip
-    return found
+        parts.append(measurement(path, angles, waves, f[:, None] * share, metadata, assumed=assumed))
+    return parts
 
 
 def numbers_after_text(words: Iterator[str]) -> Array:
@@ -618,10 +598,9 @@ def _both_sides(path: Path, lines: list[str]) -> list[Measurement]:
     starts = [i for i, line in enumerate(lines) if i and line.strip().startswith(FIRST)]
     if len(starts) != 2:
         raise NacreError(f"{path}: the BSDF180 does not hold two text files; it names or compresses them")
-    ends = [starts[1], len(lines)]
-    found = []
-    for side, start, end in zip(("front", "back"), starts, ends, strict=True):
-        for part in _part(path, lines[start:end]):
-            found.append(Measurement(part.path, part.kind, part.data, f"{side} {part.name}".strip(),
-                                     dict(part.metadata) | {"side": side}, part.assumed, part.left_out))  # fmt: skip
-    return found
+    texts = {"front": lines[starts[0] : starts[1]], "back": lines[starts[1] :]}
+    return [
+        replace(part, name=f"{side} {part.name}".strip(), metadata={**part.metadata, "side": side})
+        for side, text in texts.items()
+        for part in _part(path, text)
+    ]

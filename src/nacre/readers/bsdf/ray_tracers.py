@@ -36,7 +36,7 @@ def read_fred(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: a line is invalid, or the format has other angles or values.
     """
     form: dict[str, str] = {}
-    incidence: tuple[float, float] | None = None
+    incidence: list[float] = []
     rows = []
     for number, line in enumerate(load_text(path).splitlines(), start=1):
         words = line.split("#")[0].split()
@@ -47,9 +47,9 @@ def read_fred(path: Path, options: ReadOptions) -> list[Measurement]:
             continue
         values = row_of_numbers(path, number, line, words)
         if len(values) == 2:
-            incidence = values[0], values[1]
-        elif len(values) == 3 and incidence is not None:
-            rows.append((*incidence, *values))
+            incidence = values
+        elif len(values) == 3 and incidence:
+            rows.append([*incidence, *values])
         else:
             raise NacreError(f"{path}: line {number} has {len(values)} numbers; allowed: 2 (incidence), 3 (scatter)")
     for key, allowed in KNOWN.items():
@@ -76,11 +76,10 @@ def _turned(angles: Array, values: Array) -> tuple[Array, str]:
     is_turned = at_zero > CONTRAST * at_half
     pairs = angles.copy()
     pairs[:, 3] = (angles[:, 3] + (180.0 if is_turned else 0.0)) % 360.0
-    if is_turned:
-        return pairs, "the mirror direction is at the azimuth of incidence, where the values are largest"
-    if at_half > CONTRAST * at_zero:
-        return pairs, "the mirror direction is opposite to the azimuth of incidence, where the values are largest"
-    return pairs, "the mirror direction is taken opposite to the azimuth of incidence; the values do not decide"
+    if not is_turned and not at_half > CONTRAST * at_zero:
+        return pairs, "the mirror direction is taken opposite to the azimuth of incidence; the values do not decide"
+    side = "at" if is_turned else "opposite to"
+    return pairs, f"the mirror direction is {side} the azimuth of incidence, where the values are largest"
 
 
 # LightTools BSDF text: common scatter angles, then blocks by incidence, side, scatter type and channel.
@@ -129,11 +128,10 @@ def read_lighttools(path: Path, options: ReadOptions) -> list[Measurement]:
     if not blocks:
         raise NacreError(f"{path}: holds no block of values")
     is_xyz = head.get("SpectralContent", "").lower() == "xyz"
-    found = []
-    for series in dict.fromkeys(block.series for block in blocks):
-        some = [block for block in blocks if block.series == series]
-        found.append(_one_lighttools(path, series, some, (azimuth, radial), head, is_xyz))
-    return found
+    return [
+        _one_lighttools(path, series, [b for b in blocks if b.series == series], (azimuth, radial), head, is_xyz)
+        for series in dict.fromkeys(block.series for block in blocks)
+    ]
 
 
 def _head(words: Iterator[str]) -> tuple[dict[str, str], Array, Array]:
@@ -177,16 +175,16 @@ def _one_lighttools(
     """Return the measurement for one side and scatter type; channels are wavelengths or X, Y, Z."""
     side, scatter = series
     azimuth, radial = axes
-    incidences = sorted({(float(b.head.get("AOI", 0)), float(b.head.get("POI", 0))) for b in blocks})
+    incidence_of = [(float(b.head.get("AOI", 0)), float(b.head.get("POI", 0))) for b in blocks]
+    incidences = sorted(set(incidence_of))
     channel = "TristimulusValue" if is_xyz else "Wavelength"
     names = sorted({b.head.get(channel, "") for b in blocks}, key=lambda name: (len(name), name))
     if is_xyz and set(names) != set(TRISTIMULUS):
         raise NacreError(f"{path}: holds {', '.join(names)[:60]}; XYZ needs TrisX, TrisY and TrisZ")
     place = TRISTIMULUS if is_xyz else {name: k for k, name in enumerate(sorted(names, key=lambda n: float(n or 0)))}
     values = np.full((len(incidences), len(azimuth), len(radial), len(place)), np.nan)
-    for block in blocks:
-        at = incidences.index((float(block.head.get("AOI", 0)), float(block.head.get("POI", 0))))
-        values[at, ..., place[block.head.get(channel, "")]] = block.values
+    for block, incidence in zip(blocks, incidence_of):
+        values[incidences.index(incidence), ..., place[block.head.get(channel, "")]] = block.values
     if np.isnan(values).any():
         raise NacreError(f"{path}: a block of {scatter.upper()} of the {side} is missing, or a value is not a number")
     theta_i, phi_i = (np.array(column)[:, None, None] for column in zip(*incidences, strict=True))
@@ -199,8 +197,8 @@ def _one_lighttools(
     metadata = {"scatter": scatter, "side": side, "symmetry": head.get("Symmetry", ""),
                 "tis": [float(b.head["TIS"]) for b in blocks]}  # fmt: skip
     assumed = ["the light comes from azimuth 90, as in LightTools files of isotropic surfaces", *notes]
-    return measurement(path, pairs, waves, values.reshape(len(pairs), -1), metadata,
-                       name=side, colour="xyz" if is_xyz else None, assumed=assumed)  # fmt: skip
+    values, colour = values.reshape(len(pairs), -1), "xyz" if is_xyz else None
+    return measurement(path, pairs, waves, values, metadata, name=side, colour=colour, assumed=assumed)
 
 
 # TracePro surface properties as text: a table of coefficients, and `Table_BSDF_Data` with BRDF and BTDF.
@@ -242,10 +240,8 @@ def read_tracepro(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(f"{path}: Table_BSDF_Data holds no rows")
     table = {name: np.array(column) for name, column in zip(names, np.array(rows).T, strict=True)}
     title = next((line.partition("\t")[2].strip() for line in lines if line.startswith("Name\t")), "")
-    found = [_one_tracepro(path, table, "brdf", title)]
-    if "BTDF" in table and np.any(table["BTDF"] != 0):
-        found.append(_one_tracepro(path, table, "btdf", title))
-    return [part for part in found if np.any(part.data["bsdf"] != 0)] or found[:1]
+    parts = [_one_tracepro(path, table, scatter, title) for scatter in ("brdf", "btdf") if scatter.upper() in table]
+    return [part for part in parts if np.any(part.data["bsdf"] != 0)] or parts[:1]
 
 
 def _one_tracepro(path: Path, table: dict[str, Array], scatter: str, title: str) -> Measurement:
@@ -261,10 +257,10 @@ def _one_tracepro(path: Path, table: dict[str, Array], scatter: str, title: str)
     data = {name: column[inside] for name, column in zip(DEGREES, columns, strict=True)}
     data |= {"wavelength_nm": 1e3 * table["Wavelength"][inside], "bsdf": table[scatter.upper()][inside]}
     beyond = int(np.sum(~inside))
-    left = (f"{beyond} rows lie beyond the unit circle of direction cosines",) if beyond else ()
+    left_out = (f"{beyond} rows lie beyond the unit circle of direction cosines",) if beyond else ()
     assumed = ("ScatterAzimuth is counted from the direction of larger beta",)
     metadata = {"scatter": scatter, "pairs": int(np.sum(inside))}
-    return Measurement(path, "bsdf", data, title, metadata, assumed, left)
+    return Measurement(path, "bsdf", data, title, metadata, assumed, left_out)
 
 
 # Zemax tabular BSDF files: scatter about the specular direction, monochrome or XYZ.
@@ -392,10 +388,10 @@ def _named_only(words: Iterator[str], name: str) -> None:
 
 
 def _one_of(header: dict[str, str], key: str, allowed: tuple[str, ...]) -> str:
-    found = next((name for name in allowed if name.lower() == header[key].lower()), None)
-    if found is None:
+    name = next((name for name in allowed if name.lower() == header[key].lower()), None)
+    if name is None:
         raise ValueError(f"{key} = {header[key][:30]}; allowed: {', '.join(allowed)}")
-    return found
+    return name
 
 
 def read_zemax(path: Path, options: ReadOptions) -> list[Measurement]:

@@ -411,13 +411,14 @@ def correlation_length_um(flat: Array, pitch_um: tuple[float, float]) -> float |
 # One height map of a file of any format of this folder.
 
 
-def read_map(path: str | Path, options: ReadOptions) -> Measurement:
+def read_map(path: str | Path, options: ReadOptions | None = None) -> Measurement:
     """Read the one height map of a file; other kinds of files that a text may be are not considered.
 
     Raises:
         NacreError: no height map, or a damaged one.
         AmbiguousFileError: a unit, the pitch or the channel is not known; `option` names it.
     """
+    options = options or ReadOptions()
     candidates = recognise(path)
     maps = [entry for _, entry in candidates if entry.kind == "heights"]
     if candidates and candidates[0][1].id == "other":
