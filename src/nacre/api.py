@@ -38,7 +38,7 @@ from nacre.families.contract import Diffracting, Model, fabrications
 from nacre.formats.fabrication import SUFFIXES, HeightOptions, write_drawing
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
-from nacre.formats.number_maps import NumberMap, write_number_maps
+from nacre.formats.number_maps import write_number_maps
 from nacre.material.material import Material, MaterialLike, as_material, load, loaded
 from nacre.material.spatial_variation import number_maps
 from nacre.matter.drawings import DrawingRequest
@@ -325,13 +325,13 @@ def _read_options(options: Mapping[str, Any]) -> ReadOptions:
             raise NacreError(
                 f"{name} is not an option of read.{did_you_mean(name, allowed)} Allowed: {', '.join(allowed)}"
             )
-    given = dict(options)
+    values = dict(options)
     for name in ("columns", "ignore"):
-        if isinstance(given.get(name), str):
-            given[name] = tuple(word.strip() for word in given[name].split(","))
-    if isinstance(given.get("pitch_um"), int | float):
-        given["pitch_um"] = (float(given["pitch_um"]), float(given["pitch_um"]))
-    return ReadOptions(**given)
+        if isinstance(values.get(name), str):
+            values[name] = tuple(word.strip() for word in values[name].split(","))
+    if isinstance(values.get("pitch_um"), int | float):
+        values["pitch_um"] = (float(values["pitch_um"]),) * 2
+    return ReadOptions(**values)
 
 
 def fabricate(
@@ -385,7 +385,8 @@ def fabricate(
         if maps and to in MAP_FORMATS:
             if seed is not None:
                 raise UnsupportedError(f"{place}: --to {to} takes no --seed here: nothing of a map is drawn at random")
-            target = Path(path) if path is not None else folder / f"{_maps_stem(maps)}{MAP_SUFFIXES[to]}"
+            stem = maps[0].slug if len(maps) == 1 else "map"  # several maps have their recipe paths in the names
+            target = Path(path) if path is not None else folder / f"{stem}{MAP_SUFFIXES[to]}"
             return write_number_maps(
                 maps, to, target, name, size_mm=size_mm, calibration=calibration, levels=levels
             )  # fmt: skip
@@ -399,8 +400,3 @@ def fabricate(
     target = Path(path) if path is not None else folder / f"{drawing.stem}{SUFFIXES[to]}"
     options = HeightOptions(size_mm, calibration, levels, pixels_per_feature, base_um, seed)
     return write_drawing(drawing, to, target, name, options)
-
-
-def _maps_stem(maps: list[NumberMap]) -> str:
-    """Return the file names of maps; several maps have their recipe paths in the names."""
-    return maps[0].slug if len(maps) == 1 else "map"

@@ -124,59 +124,52 @@ def run(argv: list[str]) -> int:
         if any("\0" in word for word in argv):
             raise NacreError("an argument holds a NUL character, which no file name and no number has")
         with on_progress(common.listener(yes)), on_compile(common.compile_listener()), warnings.catch_warnings():
-            warnings.showwarning = _say_warning  # type: ignore[assignment]  # takes the rest by *where
+            warnings.showwarning = _show_warning  # type: ignore[assignment]  # takes the rest by *where
             cli.main(args=argv, prog_name="nacre", standalone_mode=False)
         sys.stdout.flush()
-    except (KeyboardInterrupt, click.Abort):
-        if debug:
-            raise
-        common.say(common.stopped_line())
-        return common.STATUS_INTERRUPTED
     except click.exceptions.Exit as leave:
         return leave.exit_code
-    except click.ClickException as error:
-        context = getattr(error, "ctx", None)
-        command = f" {context.info_name}" if context is not None and context.parent is not None else ""
-        common.say(f"nacre{command}: {error.format_message()}")
-        return common.STATUS_BAD_INPUT
     except BrokenPipeError:
         # the reader of the output has ended (`nacre ... | head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except NacreError as error:
-        if debug:
+    except (Exception, KeyboardInterrupt) as error:
+        if debug and not isinstance(error, click.ClickException):
             raise
-        common.say(f"nacre: {error}")
-        return common.STATUS_BAD_INPUT
-    except (OSError, MemoryError) as error:
-        if debug:
-            raise
-        what = "not enough memory; try a smaller size" if isinstance(error, MemoryError) else _os_line(error)
-        common.say(f"nacre: {what}")
-        return common.STATUS_BAD_INPUT
-    except Exception as error:
-        if debug:
-            raise
-        if _was_interrupted(error):
-            common.say(common.stopped_line())
-            return common.STATUS_INTERRUPTED
-        if isinstance(error, ModuleNotFoundError) and (line := missing_line(error.name or "")):
-            common.say(f"nacre: {line}")
-            return common.STATUS_BAD_INPUT
-        common.say(
-            f"nacre: this is a bug in nacre, please report it: {type(error).__name__}: "
-            f"{str(error)[:300]} (run again with --debug for the details)"
-        )
-        return 1
+        status, line = _outcome(error)
+        common.note(line)
+        return status
     return 0
 
 
-def _say_warning(message: Warning | str, category: type[Warning], *where: Any) -> None:
-    """Print a warning of nacre as a message, without the line of code."""
-    if category.__module__.partition(".")[0] == "nacre":
-        common.say(str(message))
-    else:
-        common.say(f"{category.__name__}: {message}")
+def _outcome(error: BaseException) -> tuple[int, str]:
+    """Return the exit status and the message for an error."""
+    if isinstance(error, KeyboardInterrupt | click.Abort):
+        return common.STATUS_INTERRUPTED, common.stopped_line()
+    if isinstance(error, click.ClickException):
+        context = getattr(error, "ctx", None)
+        command = f" {context.info_name}" if context is not None and context.parent is not None else ""
+        return common.STATUS_BAD_INPUT, f"nacre{command}: {error.format_message()}"
+    if isinstance(error, NacreError):
+        return common.STATUS_BAD_INPUT, f"nacre: {error}"
+    if isinstance(error, MemoryError):
+        return common.STATUS_BAD_INPUT, "nacre: not enough memory; try a smaller size"
+    if isinstance(error, OSError):
+        name = f"{error.filename}: " if error.filename else ""
+        return common.STATUS_BAD_INPUT, f"nacre: {name}{error.strerror or error}"
+    if _was_interrupted(error):
+        return common.STATUS_INTERRUPTED, common.stopped_line()
+    if isinstance(error, ModuleNotFoundError) and (line := missing_line(error.name or "")):
+        return common.STATUS_BAD_INPUT, f"nacre: {line}"
+    return 1, (
+        f"nacre: this is a bug in nacre, please report it: {type(error).__name__}: "
+        f"{str(error)[:300]} (run again with --debug for the details)"
+    )
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *where: Any) -> None:
+    """Print a warning as a message, without the line of code; of others than nacre with its type."""
+    is_own = category.__module__.partition(".")[0] == "nacre"
+    common.note(str(message) if is_own else f"{category.__name__}: {message}")
 
 
 def _was_interrupted(error: BaseException | None) -> bool:
@@ -186,8 +179,3 @@ def _was_interrupted(error: BaseException | None) -> bool:
             return True
         error = error.__cause__ or error.__context__
     return False
-
-
-def _os_line(error: OSError) -> str:
-    name = f"{error.filename}: " if error.filename else ""
-    return f"{name}{error.strerror or error}"

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 @click.argument("sweep_file", metavar="SWEEP.toml")
 @click.option("-o", "output", default=None, metavar="FOLDER.zarr", help="Default: SWEEP.zarr.")
 @common.cluster_options
-@common.cache_option
-@common.jobs_option
+@common.run_options
 def sweep(sweep_file: str, output: str | None, workers: Workers) -> None:
     """Compute a material over many values of its numbers; run again to resume after an interruption."""
     from nacre.analysis.sweep import errors_file, run_sweep
@@ -85,9 +84,7 @@ MOST_RECIPES = 50
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-o", "output", default=None, metavar="FILE.txt|.json|.html", help="Write it there, not to stdout.")
-@common.set_option
-@common.cache_option
-@common.jobs_option
+@common.recipe_options
 def report(
     recipes: tuple[str, ...], illuminant: str, observer: str, samples: int | None, seed: int,
     geometries: tuple[str, ...], formula: str, limits: tuple[str, ...], as_json: bool, output: str | None,
@@ -150,27 +147,23 @@ def report(
 
 
 def _texture(
-    is_asked: bool, patch: str | None, instrument: str | None, illuminant: str, observer: str, seed: int
+    is_requested: bool, patch: str | None, instrument: str | None, illuminant: str, observer: str, seed: int
 ) -> Callable[[Material], Texture | None]:
     """Return the function that computes a material's texture, or None if it was not requested."""
     from nacre.core.files import check_writable
     from nacre.measure.texture import measure_texture, read_instrument
 
-    if instrument and not (is_asked or patch):
+    if instrument and not (is_requested or patch):
         raise NacreError("--instrument needs --texture")
     if patch is not None:
         if Path(patch).suffix.lower() not in (".png", ".pdf", ".svg"):
             raise NacreError(f"--texture-patch {patch}: the suffix must be .png, .pdf or .svg")
         check_writable(patch)
     tool = read_instrument(instrument)
+    if not (is_requested or patch):
+        return lambda material: None
     method = "patch" if patch else "statistics"
-
-    def add(material: Material) -> Texture | None:
-        if not (is_asked or patch):
-            return None
-        return measure_texture(material, tool, method, illuminant, observer, seed)
-
-    return add
+    return lambda material: measure_texture(material, tool, method, illuminant, observer, seed)
 
 
 def _standard(
@@ -185,12 +178,12 @@ def _standard(
 
     if len(recipes) > 1:
         raise NacreError("--standard is compared with one recipe")
-    rows = read_colours(path, 1, light)
-    names = [row.name for row in rows]
-    for name in names:
-        if not name or names.count(name) > 1:
-            raise NacreError(f'{path}: each row needs its own geometry, such as 45as15; got "{name}"')
-    return {row.name: row.lab[0] for row in rows}
+    colours: dict[str, Any] = {}
+    for row in read_colours(path, 1, light):
+        if not row.name or row.name in colours:
+            raise NacreError(f'{path}: each row needs its own geometry, such as 45as15; got "{row.name}"')
+        colours[row.name] = row.lab[0]
+    return colours
 
 
 def _with_standard(geometries: tuple[str, ...], colours: dict[str, Any] | None) -> tuple[str, ...]:
@@ -205,16 +198,13 @@ def _with_standard(geometries: tuple[str, ...], colours: dict[str, Any] | None) 
 
 def _limits(texts: tuple[str, ...]) -> dict[str, float]:
     """Return the largest accepted differences by geometry; "" stands for all."""
-    found = {}
+    limits = {}
     for text in texts:
         name, _, value = text.rpartition("=")
-        try:
-            found[name] = float(value)
-        except ValueError:
-            found[name] = math.nan
-        if not 0.0 < found[name] < math.inf:
+        limits[name] = common.number_or_nan(value)
+        if not 0.0 < limits[name] < math.inf:
             raise NacreError(f"--tolerance {text}: should be a number above 0, or GEOMETRY=NUMBER such as 45as15=1.5")
-    return found
+    return limits
 
 
 @click.command()
@@ -242,8 +232,7 @@ def _limits(texts: tuple[str, ...]) -> dict[str, float]:
 @click.option("-o", "output", default=None, metavar="FILE.json", help="Also write the numbers, as JSON.")
 @common.set_option
 @common.cluster_options
-@common.cache_option
-@common.jobs_option
+@common.run_options
 def tolerance(
     recipe: str, tolerances: tuple[str, ...], draws: int, limit: float, seed: int, illuminant: str,
     geometries: tuple[str, ...], samples: int | None, as_json: bool, output: str | None, changes: tuple[str, ...],
@@ -280,9 +269,10 @@ def tolerance(
     for label, lab, median, high95 in rows:
         click.echo(f"  {label:14s}  {lab[0]:7.2f} {lab[1]:7.2f} {lab[2]:7.2f}     {median:8.2f}  {high95:8.2f}")
     for spread in document["texture"]:
+        off = "-" if spread["off_percent_95"] is None else f"{spread['off_percent_95']:.2g}"
         click.echo(
             f"  {spread['quantity']:14s}  {spread['nominal']:7.4g}, 95 % of the draws within "
-            f"{_dash(spread['off_percent_95'])} %; limit {spread['limit_percent']:g} %: "
+            f"{off} %; limit {spread['limit_percent']:g} %: "
             f"{100 * spread['within_limit']:.1f} % pass"
         )
     also = " and texture within its limits" if document["texture"] else ""
@@ -292,20 +282,17 @@ def tolerance(
         click.echo(f"  {document['failed_draws']} draws could not be computed and count as outside")
     for path, share in document["share_clipped_at_0"].items():
         click.echo(f"  {path}: {100 * share:.2g} % of the draws were below 0 and became 0")
-    click.echo("  sensitivities (dE00 of one standard deviation, share of variance):")
-    for path, change, share in result.sensitivities:
-        click.echo(f"    {path:44s} {change:8.3f}  {100 * share:5.1f} %")
-    click.echo("  contributions of the sources:")
-    for source, change, share in result.contributions:
-        click.echo(f"    {source:44s} {change:8.3f}  {100 * share:5.1f} %")
+    for title, changes_of in (
+        ("sensitivities (dE00 of one standard deviation, share of variance)", result.sensitivities),
+        ("contributions of the sources", result.contributions),
+    ):
+        click.echo(f"  {title}:")
+        for name, change, share in changes_of:
+            click.echo(f"    {name:44s} {change:8.3f}  {100 * share:5.1f} %")
     for spread in document["texture"]:
         click.echo(f"  sensitivities of {spread['quantity']} (% of one standard deviation):")
         for path, change in spread["percent_of_one_deviation"].items():
             click.echo(f"    {path:44s} {change:+8.3f}")
-
-
-def _dash(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2g}"
 
 
 def _texture_limits(
@@ -322,20 +309,17 @@ def _texture_limits(
     if instrument and not texts:
         raise NacreError("--instrument needs --texture")
     tool = read_instrument(instrument)
-    found: dict[str | TextureQuantity, float] = {}
+    limits: dict[str | TextureQuantity, float] = {}
     for text in texts:
         name, equals, value = text.partition("=")
         each = TextureQuantity.named(name.strip(), "--texture", tool, (illuminant, "10deg"))
-        try:
-            limit = float(value.removesuffix("%")) if equals else TEXTURE_TOLERANCE_PERCENT
-        except ValueError:
-            limit = math.nan
+        limit = common.number_or_nan(value.removesuffix("%")) if equals else TEXTURE_TOLERANCE_PERCENT
         if not 0.0 < limit < math.inf:
             raise NacreError(f"--texture {text}: write QUANTITY or QUANTITY=PERCENT, above 0, such as graininess=5")
-        if each in found:
+        if each in limits:
             raise NacreError(f"--texture {text}: the quantity occurs twice")
-        found[each] = limit
-    return found
+        limits[each] = limit
+    return limits
 
 
 SUFFIXES = (".txt", ".csv", ".json", ".png", ".pdf", ".svg")
@@ -476,8 +460,7 @@ def _csv(wavelengths_nm: np.ndarray, angles_deg: np.ndarray, columns: dict[str, 
 @click.option("--residual", default=None, metavar="FILE.npz", help="Store the residual map.")
 @click.option("--report", "page", default=None, metavar="FIT.html", help="Write a page on measurement and fit.")
 @click.option("-o", "output", default=None, metavar="FITTED.toml", help="Default: RECIPE-fitted.toml.")
-@common.cache_option
-@common.jobs_option
+@common.run_options
 def fit(
     files: tuple[str, ...], parameters: tuple[str, ...], ties: tuple[str, ...], as_json: bool, residual: str | None,
     page: str | None, output: str | None, range_nm: str | None, labs: tuple[str, ...], texture: tuple[str, ...],
@@ -499,8 +482,7 @@ def fit(
         raise NacreError("give the measurements and then the recipe: nacre fit MEASUREMENT... RECIPE")
     colours = common.read_labs(labs)
     path = Path(output) if output else Path(f"{short_name(recipe)}-fitted.toml")
-    asked = ((path, ".toml"), (residual and Path(residual), ".npz"), (page and Path(page), ".html"))
-    for target, suffix in asked:
+    for target, suffix in ((path, ".toml"), (residual, ".npz"), (page, ".html")):
         if target:
             check_output(target, suffix, option="")
     names = ("angle_deg", "delta_convention", "spectrum", "quantity", "unit")
@@ -610,8 +592,7 @@ LAB_NOISE = 0.2  # repeatability of a good spectrophotometer, with room for its 
 @click.option("--quantity", default=None, metavar="NAME", help="Quantity of a spectrum that a file does not state.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-o", "output", default=None, metavar="FILE.toml", help="Write the recipe as it was made.")
-@common.cache_option
-@common.jobs_option
+@common.run_options
 def diagnose(
     files: tuple[str, ...], noise: float, labs: tuple[str, ...], lab_noise: float, tolerances: tuple[str, ...],
     range_nm: str | None, as_json: bool, output: str | None, **more: Any,

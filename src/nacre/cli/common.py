@@ -95,14 +95,10 @@ def set_jobs(jobs: int | None) -> None:
     os.environ["NUMBA_NUM_THREADS"] = str(min(jobs, os.cpu_count() or 1))
 
 
-def _jobs_callback(ctx: click.Context, param: click.Parameter, value: int | None) -> None:
-    set_jobs(value)
-
-
 def jobs_option(function: F) -> F:
     """Add `--jobs N`, which takes effect before numeric libraries are imported."""
     return click.option(
-        "--jobs", type=int, metavar="N", is_eager=True, expose_value=False, callback=_jobs_callback,
+        "--jobs", type=int, metavar="N", is_eager=True, expose_value=False, callback=lambda *given: set_jobs(given[2]),
         help="Threads, or processes of sweeps, tolerances and batches; default: all cores.",
     )(function)  # fmt: skip
 
@@ -160,12 +156,12 @@ def _no_cache_callback(ctx: click.Context, param: click.Parameter, value: bool) 
         os.environ["NACRE_CACHE"] = "off"  # inherited by worker processes
 
 
-def cache_option(function: F) -> F:
-    """Add `--no-cache`, which disables the disk cache of solved optics."""
+def run_options(function: F) -> F:
+    """Add `--no-cache`, which disables the disk cache of solved optics, and `--jobs N`."""
     return click.option(
         "--no-cache", is_flag=True, is_eager=True, expose_value=False, callback=_no_cache_callback,
         help="Do not use the disk cache; see nacre cache.",
-    )(function)  # fmt: skip
+    )(jobs_option(function))  # fmt: skip
 
 
 LAMPS = "A, C, D50, D65, E, F2, F11 or LED-B3."  # nacre.light.ILLUMINANTS, without importing it
@@ -181,6 +177,11 @@ def set_option(function: F) -> F:
     )(function)  # fmt: skip
 
 
+def recipe_options(function: F) -> F:
+    """Add `--set`, `--no-cache` and `--jobs N`."""
+    return set_option(run_options(function))
+
+
 def load_material(recipe: str, changes: tuple[str, ...] = ()) -> Any:
     """Load a recipe, a .nacre file or a design folder, and apply `--set` changes; numbers tied to them follow.
 
@@ -192,12 +193,13 @@ def load_material(recipe: str, changes: tuple[str, ...] = ()) -> Any:
     material = load(recipe)
     if not changes:
         return material
-    made = material.vary(dict(parse_change(change) for change in changes))
+    values = dict(parse_change(change) for change in changes)
+    made = material.vary(values)
     if not made.data.get("ties"):
         return made
     from nacre.analysis.ties import with_ties
 
-    return with_ties(made, [parse_change(change)[0] for change in changes])
+    return with_ties(made, [*values])
 
 
 def parse_change(text: str) -> tuple[str, Any]:
@@ -245,11 +247,6 @@ def answer(document: Mapping[str, Any], text_csv: str, output: str | None, as_js
         click.echo(text_csv, nl=False)
 
 
-def note(message: str) -> None:
-    """Print a message on stderr; stdout is reserved for results."""
-    say(message)
-
-
 STATUS_BAD_INPUT = 2
 STATUS_INTERRUPTED = 130
 STOPPED = "nacre: stopped; finished results are stored"
@@ -262,8 +259,8 @@ def stopped_line() -> str:
     return STOPPED if stored.is_set() else STOPPED_EARLY
 
 
-def say(message: str) -> None:
-    """Print one line on stderr; a closed stream is ignored."""
+def note(message: str) -> None:
+    """Print one line on stderr, since stdout is reserved for results; a closed stream is ignored."""
     with contextlib.suppress(OSError, ValueError):
         click.echo(one_line(message), err=True)
 
@@ -311,19 +308,24 @@ def read_labs(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
     Raises:
         NacreError: one cannot be read, or a geometry occurs twice.
     """
-    found: dict[str, tuple[float, ...]] = {}
+    colours: dict[str, tuple[float, ...]] = {}
     for text in texts:
         geometry, _, values = text.rpartition("=")
-        try:
-            lab = tuple(float(cell) for cell in values.split(","))
-        except ValueError:
-            lab = ()
+        lab = tuple(number_or_nan(cell) for cell in values.split(","))
         if not geometry.strip() or len(lab) != 3 or not all(map(math.isfinite, lab)):
             raise NacreError(f'--lab "{text}" cannot be read; write it like "specular 5=62,30,-12"')
-        if geometry.strip() in found:
+        if geometry.strip() in colours:
             raise NacreError(f'--lab "{text}": the geometry occurs twice')
-        found[geometry.strip()] = lab
-    return found
+        colours[geometry.strip()] = lab
+    return colours
+
+
+def number_or_nan(text: str) -> float:
+    """Return the number that a text states, or NaN."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def read_texture(texts: Sequence[str]) -> dict[str, float]:
@@ -332,19 +334,16 @@ def read_texture(texts: Sequence[str]) -> dict[str, float]:
     Raises:
         NacreError: one cannot be read, or a quantity occurs twice.
     """
-    found: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for text in texts:
         quantity, _, value = text.partition("=")
-        try:
-            number = float(value)
-        except ValueError:
-            number = math.nan
+        number = number_or_nan(value)
         if not quantity.strip() or not math.isfinite(number):
             raise NacreError(f'--texture "{text}" cannot be read; write it like sparkle_45=1.2')
-        if quantity.strip() in found:
+        if quantity.strip() in numbers:
             raise NacreError(f'--texture "{text}": the quantity occurs twice')
-        found[quantity.strip()] = number
-    return found
+        numbers[quantity.strip()] = number
+    return numbers
 
 
 ASK_S = 60.0  # longer work needs confirmation on a terminal
@@ -362,7 +361,7 @@ def listener(yes: bool) -> Callable[[str, float], None]:
     """
 
     def hear(what: str, seconds: float) -> None:
-        say(what)
+        note(what)
         is_terminal = _is_terminal()
         if seconds > ASK_S and not yes and is_terminal:
             # stdout is reserved for results
@@ -377,13 +376,13 @@ def listener(yes: bool) -> Callable[[str, float], None]:
 
 def compile_listener() -> Callable[[float], None]:
     """Return a listener that says once, on a terminal, that the first run compiles kernels."""
-    is_said = False
+    is_reported = False
 
     def hear(seconds: float) -> None:
-        nonlocal is_said
-        if seconds > LONG_COMPILE_S and not is_said and _is_terminal():
-            is_said = True
-            say(COMPILING)
+        nonlocal is_reported
+        if seconds > LONG_COMPILE_S and not is_reported and _is_terminal():
+            is_reported = True
+            note(COMPILING)
 
     return hear
 
@@ -400,23 +399,23 @@ def _report() -> None:
     from nacre.core import machine
     from nacre.core.progress import duration
 
-    begun = said = time.monotonic()
+    begun = last_report = time.monotonic()
     spent = time.process_time()
 
     def report(done: int, total: int) -> None:
-        nonlocal said
+        nonlocal last_report
         now = time.monotonic()
         if done == total:
             machine.remove_progress_listener(report)
-            say(f"{total} of {total} solved, after {duration(now - begun)}")
-        elif now - said >= PACE_S:
-            said = now
+            note(f"{total} of {total} solved, after {duration(now - begun)}")
+        elif now - last_report >= PACE_S:
+            last_report = now
             rest = (total - done) / done
             by_clock, free = rest * (now - begun), rest * (time.process_time() - spent) / machine.available_jobs()
-            left = f"about {duration(by_clock)} left"
+            remaining = f"about {duration(by_clock)} left"
             if by_clock > BUSY * free:
-                left = f"about {duration(free)} left on free cores, {duration(by_clock)} as busy as it is"
-            say(f"{done} of {total} solved, {left}")
+                remaining = f"about {duration(free)} left on free cores, {duration(by_clock)} as busy as it is"
+            note(f"{done} of {total} solved, {remaining}")
 
     machine.add_progress_listener(report)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from pathlib import Path
@@ -33,8 +34,7 @@ TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "npy", "sheet")
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result's numbers as JSON.")
 @common.cluster_options
-@common.cache_option
-@common.jobs_option
+@common.run_options
 def design(
     target: str, output: str | None, resume: bool, labs: str | None, as_json: bool, workers: Workers
 ) -> None:  # fmt: skip
@@ -63,7 +63,7 @@ def design(
         result = run(read_target(target), folder, resume, screen.show, int(jobs) if jobs else None)
     if as_json:
         click.echo(json.dumps(result.summary, default=str))
-    if not as_json:
+    else:
         _print_solutions(result)
     _print_next(result, target)
     if result.status == "interrupted":
@@ -125,8 +125,8 @@ def _print_next(result: Any, target: str) -> None:
         follow = f"nacre fabricate {result.folder} --to png16" + (f" --calibration {curve}" if curve else "")
         if result.summary.get("outside"):
             common.note(f"{result.folder}: {result.summary['outside']}")
-    written = "report.html; " if (result.folder / "report.html").is_file() else ""
-    common.note(f"{result.folder}: {written}nacre render {result.folder}; {follow}")
+    page = "report.html; " if (result.folder / "report.html").is_file() else ""
+    common.note(f"{result.folder}: {page}nacre render {result.folder}; {follow}")
 
 
 class _Screen:
@@ -136,22 +136,20 @@ class _Screen:
         from rich.console import Console
 
         self._is_reported = False
-        self._console = Console(stderr=True)
-        self._status = self._console.status("designing") if self._console.is_terminal else None
+        console = Console(stderr=True)
+        self._status = console.status("designing") if console.is_terminal else None
+        self._exits = contextlib.ExitStack()
 
     def __enter__(self) -> _Screen:
         from nacre.core.jit import on_compile
 
-        self._compile_listener = on_compile(self._report_compiling)
-        self._compile_listener.__enter__()
+        self._exits.enter_context(on_compile(self._report_compiling))
         if self._status:
-            self._status.start()
+            self._exits.enter_context(self._status)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._compile_listener.__exit__(None, None, None)
-        if self._status:
-            self._status.stop()
+        self._exits.close()
 
     def _report_compiling(self, seconds: float) -> None:
         """Report once that kernels are being compiled."""
@@ -167,8 +165,8 @@ class _Screen:
     def show(self, progress: Any) -> None:
         """Show the search's progress."""
         if self._status:
-            left = f", {progress.seconds_left:.0f} s left" if math.isfinite(progress.seconds_left) else ""
-            self._status.update(f"{progress.description}, {progress.seconds:.0f} s{left}")
+            remaining = f", {progress.seconds_left:.0f} s left" if math.isfinite(progress.seconds_left) else ""
+            self._status.update(f"{progress.description}, {progress.seconds:.0f} s{remaining}")
 
 
 @click.command()
@@ -202,9 +200,7 @@ class _Screen:
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print every point with its colour and its structure.")
 @click.option("-o", "output", default=None, metavar="FILE.png|.json|.html", help="Default: RECIPE-gamut.png.")
-@common.set_option
-@common.cache_option
-@common.jobs_option
+@common.recipe_options
 def gamut(
     recipe: str, parameters: tuple[str, ...], geometry: str | None, as_json: bool, output: str | None,
     changes: tuple[str, ...], **search: Any,
@@ -269,8 +265,7 @@ def gamut(
     default=None,
     help="Seed of random points; default: the recipe's.",
 )
-@common.cache_option
-@common.jobs_option
+@common.run_options
 def fabricate(
     source: str, target: str, output: str | None, calibration: tuple[str, ...], size_mm: str | None,
     levels: int | None, seed: int | None,
@@ -300,16 +295,16 @@ def fabricate(
             _print_curve(beside)
 
 
-def _curves(given: tuple[str, ...]) -> str | dict[str, str | Path] | None:
+def _curves(texts: tuple[str, ...]) -> str | dict[str, str | Path] | None:
     """Return one calibration curve, or a table of curves by recipe path.
 
     Raises:
         NacreError: one of several curves has no path.
     """
-    if len(given) < 2 and not (given and "=" in given[0] and not Path(given[0]).exists()):
-        return given[0] if given else None
+    if len(texts) < 2 and not (texts and "=" in texts[0] and not Path(texts[0]).exists()):
+        return texts[0] if texts else None
     table: dict[str, str | Path] = {}
-    for each in given:
+    for each in texts:
         path, equals, file = each.partition("=")
         if not equals or not file or path in table:
             raise NacreError(f'--calibration "{each}": of several numbers write PATH=CSV each, every path once')
@@ -343,8 +338,7 @@ def _print_curve(beside: Path) -> None:
 @click.option("--made", default=None, metavar="FOLDER", help="Formulation that the batch was made by.")
 @click.option("--answer", type=click.IntRange(1, 20), default=1, show_default=True, help="Number of the solution.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@common.cache_option
-@common.jobs_option
+@common.run_options
 def formulate(
     targets: tuple[str, ...], output: str | None, resume: bool, batch: str | None, made: str | None, answer: int,
     as_json: bool,
@@ -425,8 +419,8 @@ def _rematch(task: Any, batch: str, made: Path, answer: int, as_json: bool) -> N
     except (ValueError, KeyError, IndexError, TypeError):
         raise NacreError(f"{made / SUMMARY}: has no answer {answer}") from None
     light = (task.spec.light.illuminants[0], task.spec.light.observer)
-    seen = {row.name: row.lab[0] for row in read_colours(batch, 1, light)}
-    found = rematch(task, amounts, seen)
+    measured = {row.name: row.lab[0] for row in read_colours(batch, 1, light)}
+    found = rematch(task, amounts, measured)
     if as_json:
         document = found.__dict__ | {"de00_before": found.de00_before.tolist(), "de00_after": found.de00_after.tolist()}
         click.echo(json.dumps(document))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -138,9 +138,9 @@ def cache(clear: bool, as_json: bool) -> None:
     if folder is None:
         click.echo("off: NACRE_CACHE=off")
         return
-    gone = f"; removed: {_in_words(before)}" if clear else ""
+    removal = f"; removed: {_in_words(before)}" if clear else ""
     room = f"{total / 1e6:.1f} of at most {disk_cache.MAX_BYTES / 1e6:.0f} MB"
-    click.echo(f"{folder}: {_in_words(found)}, {room}{gone}")
+    click.echo(f"{folder}: {_in_words(found)}, {room}{removal}")
 
 
 def _in_words(entries: list[tuple[float, int, Path]]) -> str:
@@ -176,19 +176,12 @@ def examples(names: tuple[str, ...], folder: str | None, as_json: bool) -> None:
         click.echo(json.dumps([{f: getattr(e, f) for f in fields} | {"path": str(e.path)} for e in found], indent=2))
         return
     width = max((len(e.name) for e in found), default=0)
-    columns = max(60, _terminal_width() - width - 16)
+    columns = max(60, shutil.get_terminal_size((120, 24)).columns - width - 16)
     for e in found:
         about = e.about if len(e.about) <= columns else e.about[: columns - 3].rstrip() + "..."
         click.echo(f"{e.name:{width}s}  {e.family:11s}  {about}")
     if not found:
         common.note(f"no example is called {', '.join(names)}")
-
-
-def _terminal_width() -> int:
-    try:
-        return os.get_terminal_size().columns
-    except OSError:
-        return 120
 
 
 @click.command()

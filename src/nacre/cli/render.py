@@ -101,9 +101,7 @@ SCENES = (
 @click.option(
     "-o", "output", default=None, metavar="FILE", help="png, jpg, webp, exr, gif, mp4. Default: RECIPE.png, .gif."
 )
-@common.set_option
-@common.cache_option
-@common.jobs_option
+@common.recipe_options
 @common.cluster_options
 def render(
     recipe: str, animate: str | None, frames: int, output: str | None, changes: tuple[str, ...], exposure: str,

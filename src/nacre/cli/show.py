@@ -38,9 +38,7 @@ SWEEP_KINDS = ("gamut", "colour-map", "parallel")
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON to stdout.")
 @click.option("-o", "output", metavar="FILE.csv", help="Write CSV (or JSON, by the suffix) to a file.")
-@common.set_option
-@common.cache_option
-@common.jobs_option
+@common.recipe_options
 @common.cluster_options
 def spectrum(
     recipe: str, angles_deg: str, wavelengths_nm: str | None, polarisation: str, azimuth_deg: float, as_json: bool,
@@ -76,9 +74,7 @@ def spectrum(
 @click.option("--wavelengths-nm", default=None, help="Such as 400:700:20; default: chosen by the material.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON to stdout.")
 @click.option("-o", "output", metavar="FILE.csv", help="Write CSV (or JSON, by the suffix) to a file.")
-@common.set_option
-@common.cache_option
-@common.jobs_option
+@common.recipe_options
 @common.cluster_options
 def orders(
     recipe: str, angles_deg: str, azimuth_deg: float, wavelengths_nm: str | None, as_json: bool, output: str | None,
@@ -173,9 +169,7 @@ def _csv(
     "-o", "output", required=True, metavar="VALUES.npz",
     help="Arrays f[N, wavelength] and wavelengths_nm; of pearls also f_std, the standard error.",
 )  # fmt: skip
-@common.set_option
-@common.cache_option
-@common.jobs_option
+@common.recipe_options
 def evaluate(
     recipe: str, directions: str, wavelengths_nm: str | None, samples: int | None, seed: int, output: str,
     changes: tuple[str, ...],
@@ -200,16 +194,13 @@ def evaluate(
 
 
 def _read_directions(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-
     try:
         with np.load(plain(path), allow_pickle=False) as data:
             arrays = {name: np.asarray(data[name], dtype=float) for name in ("wi", "wo", "uv") if name in data}
-    except OSError as error:
-        if not error.errno:  # zipfile's own
-            raise NacreError(f"{path}: {NO_DIRECTIONS}") from None
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
-    except Exception:  # zipfile, zlib and numpy each raise their own kinds for a broken file
-        raise NacreError(f"{path}: {NO_DIRECTIONS}") from None
+    except Exception as error:  # zipfile, zlib and numpy each raise their own kinds for a broken file
+        # an OSError of zipfile has no number
+        reason = why_unreadable(error) if isinstance(error, OSError) and error.errno else NO_DIRECTIONS
+        raise NacreError(f"{path}: {reason}") from None
     for name in ("wi", "wo"):
         if name not in arrays:
             raise NacreError(f"{path}: the array {name}[N,3] is missing")
@@ -244,9 +235,7 @@ def _read_directions(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | No
 @click.option("--lightness", type=float, default=None, metavar="L", help="tracks: scale a*, b* to this L*, such as 50.")
 @click.option("--part", default=None, metavar="NAME", help="Part of a sweep's spectrum; default: the brightest stored.")
 @click.option("-o", "output", default=None, metavar="FILE.png|.pdf", help="Default: RECIPE-KIND.png.")
-@common.set_option
-@common.cache_option
-@common.jobs_option
+@common.recipe_options
 def plot(
     recipe: str, kind: str | None, angles_deg: str | None, wavelengths_nm: str | None, illuminant: str,
     over: str | None, lightness: float | None, part: str | None, output: str | None, changes: tuple[str, ...],
@@ -258,8 +247,8 @@ def plot(
     allowed = SWEEP_KINDS if is_sweep else PLOT_KINDS
     kind = kind or ("gamut" if is_sweep else None)
     if kind is None or kind not in allowed:
-        given = "--kind is missing" if kind is None else f"--kind {kind} is not for {Path(recipe).name}"
-        raise NacreError(f"{given}; choose one of {', '.join(allowed)}")
+        problem = "--kind is missing" if kind is None else f"--kind {kind} is not for {Path(recipe).name}"
+        raise NacreError(f"{problem}; choose one of {', '.join(allowed)}")
     path = Path(output) if output else Path(f"{short_name(recipe)}-{kind}.png")
     check_output(path, ".png", ".pdf", ".svg")
     angles = None if angles_deg is None else common.angles(angles_deg)
@@ -310,9 +299,7 @@ def _over(text: str | None, kind: str) -> tuple[str, np.ndarray] | None:
 @click.argument("recipe")
 @click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
 @click.option("-o", "output", default=None, metavar="FILE.nacre", help="Default: RECIPE.nacre, in the current folder.")
-@common.set_option
-@common.cache_option
-@common.jobs_option
+@common.recipe_options
 @common.cluster_options
 def compile_(
     recipe: str, wavelengths_nm: str | None, output: str | None, changes: tuple[str, ...], workers: Any
@@ -352,9 +339,7 @@ def compile_(
     help="gltf: the object (.gltf, .glb, .obj, .ply, .stl).  [default: a sphere]",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the written files and the losses as JSON.")
-@common.set_option
-@common.cache_option
-@common.jobs_option
+@common.recipe_options
 @common.cluster_options
 def export(
     recipe: str, target: str, output: str | None, angle_step_deg: float, wavelength_nm: float | None,
@@ -400,8 +385,7 @@ def export(
     "--law", default=None, metavar="half-angle",
     help="Extrapolate a scan in the plane of incidence: the BRDF depends on half and difference angle only.",
 )  # fmt: skip
-@common.cache_option
-@common.jobs_option
+@common.run_options
 def import_(
     file: str, output: str | None, material: str | None, quantity: str | None, unit: str | None,
     ignore: tuple[str, ...], law: str | None,

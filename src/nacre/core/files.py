@@ -259,13 +259,25 @@ def check_writable(path: str | Path) -> Path:
             raise NacreError(f"{path}: is a device that cannot be written as a file; give a file name")
         return folder
     remove_leftovers(folder)
+    _probe(path, folder, 0)
+    return folder
+
+
+def _probe(path: Path, folder: Path, size: int) -> None:
+    """Write a temporary file of a size into a folder, and remove it.
+
+    Raises:
+        NacreError: the folder is read-only, or the disk is full.
+    """
     try:
         handle, probe = tempfile.mkstemp(prefix=temporary_prefix(path), dir=folder)
+        try:
+            with open(handle, "wb") as file:
+                file.write(bytes(size))
+        finally:
+            os.unlink(probe)
     except OSError as error:
         raise NacreError(f"{path}: the folder {folder} cannot be written: {error.strerror}") from None
-    os.close(handle)
-    os.unlink(probe)
-    return folder
 
 
 def check_output(path: str | Path, *suffixes: str, option: str = "-o ") -> None:
@@ -297,19 +309,14 @@ def check_room(folder: str | Path, need: int) -> None:
     if not place.is_dir():
         inside = "" if place == Path(os.path.abspath(path)) else f"{place} "
         raise NacreError(f"{path}: {inside}is a file; the answers need a folder")
+    _probe(path, place, PROBE_BYTES)  # a full disk may still accept a new file name
     try:
-        handle, probe = tempfile.mkstemp(prefix=temporary_prefix(path), dir=place)
-        try:
-            with open(handle, "wb") as file:
-                file.write(bytes(PROBE_BYTES))  # a full disk may still accept a new file name
-        finally:
-            os.unlink(probe)
         disk = shutil.disk_usage(place)
     except OSError as error:
         raise NacreError(f"{path}: the folder {place} cannot be written: {error.strerror}") from None
     if 0 < disk.total and disk.free < need:
-        left = f"{disk.free / 1e6:.1f} MB are left on its disk, and {need / 1e6:.0f} MB are needed"
-        raise NacreError(f"{path}: the folder {place} cannot be written: {left}")
+        problem = f"{disk.free / 1e6:.1f} MB are left on its disk, and {need / 1e6:.0f} MB are needed"
+        raise NacreError(f"{path}: the folder {place} cannot be written: {problem}")
 
 
 @contextlib.contextmanager

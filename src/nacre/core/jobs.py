@@ -24,7 +24,7 @@ from nacre.core.machine import available_jobs, in_threads, notify_progress, on_p
 from nacre.core.progress import Clock, announce, duration
 
 Task = Callable[[Any, Any], Any]  # (shared, item) -> result; a function of a module, so that workers can import it
-SINGLE_THREADED = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "NACRE_JOBS")}
+SINGLE_THREADED = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "NACRE_JOBS"), "1")
 BATCHES_PER_WORKER = 3  # enough to hide the transfer time; few, since a killed run loses them
 BATCH_SECONDS = 0.5
 MAX_BATCH = 256
@@ -117,14 +117,14 @@ def in_workers(
 
 def _announcer(description: str) -> Callable[[int, int], None]:
     """Return a progress listener that announces long work once."""
-    clock, is_said = Clock(), False
+    clock, is_announced = Clock(), False
 
     def hear(done: int, total: int) -> None:
-        nonlocal is_said
-        left = clock.left(done, total)
-        if done > 1 and left > ANNOUNCED_S and not is_said:
-            is_said = True
-            announce(f"{description}: about {duration(left)} for {total - done} of {total} solutions", left)
+        nonlocal is_announced
+        seconds = clock.left(done, total)
+        if done > 1 and seconds > ANNOUNCED_S and not is_announced:
+            is_announced = True
+            announce(f"{description}: about {duration(seconds)} for {total - done} of {total} solutions", seconds)
 
     return hear
 
@@ -233,7 +233,7 @@ def _processes(count: int) -> Executor:
     try:
         executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _start_worker)
         for _ in range(count):
-            executor.submit(_nothing)
+            executor.submit(int)  # starts a worker
     finally:
         for name, value in before.items():
             if value is None:
@@ -241,10 +241,6 @@ def _processes(count: int) -> Executor:
             else:
                 os.environ[name] = value
     return executor
-
-
-def _nothing() -> None:
-    """Start a worker process."""
 
 
 def _start_worker() -> None:
@@ -265,10 +261,8 @@ def _start_worker() -> None:
 def _end(executor: Executor) -> None:
     """End an executor without waiting for its running tasks."""
     processes = list((getattr(executor, "_processes", None) or {}).values())
-    if processes:
-        executor.shutdown(wait=False, cancel_futures=True)
-    else:  # Dask's executor cancels its futures if it does not wait, and has no such argument
-        executor.shutdown(wait=False)
+    # Dask's executor cancels its futures if it does not wait, and has no such argument
+    executor.shutdown(wait=False, **({"cancel_futures": True} if processes else {}))
     for process in processes:
         with contextlib.suppress(OSError, ValueError):
             process.kill()
@@ -324,23 +318,22 @@ def read_security(path: str | Path) -> Any:
 
     path = Path(path)
     try:
-        given = tomllib.loads(read_text(path, "security file"))
+        table = tomllib.loads(read_text(path, "security file"))
     except tomllib.TOMLDecodeError as error:
         raise NacreError(f"{path}: not valid TOML: {error}") from None
-    for key in given:
+    for key in table:
         if key not in SECURITY_KEYS:
             raise NacreError(f"{path}: {key} is not known.{did_you_mean(key, SECURITY_KEYS)} It holds ca, cert and key")
     named = {}
     for key in SECURITY_KEYS:
-        if not isinstance(given.get(key), str):
+        if not isinstance(table.get(key), str):
             raise NacreError(f'{path}: {key} should be the name of a PEM file, such as {key} = "{key}.pem"')
-        named[key] = path.parent / given[key]
+        named[key] = path.parent / table[key]
         try:
-            with named[key].open("rb"):
-                pass
+            named[key].open("rb").close()
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
-            raise NacreError(f'{path}: {key} = "{given[key]}" cannot be read: {reason}') from None
+            raise NacreError(f'{path}: {key} = "{table[key]}" cannot be read: {reason}') from None
     trials: tuple[tuple[str, Callable[[ssl.SSLContext], None]], ...] = (
         ("ca", lambda context: context.load_verify_locations(named["ca"])),
         ("cert and key", lambda context: context.load_cert_chain(named["cert"], named["key"], password=b"")),

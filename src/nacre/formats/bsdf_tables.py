@@ -30,36 +30,31 @@ from nacre.readers.bsdf.ray_tracers import CHANNELS, ZemaxBsdf, scatter_directio
 
 SPECTRAL = ("rgl", "csv", "astm", "brdf-json", "speos", "exr")  # formats with samples over wavelength
 MIN_COS = 1e-4  # bins below the horizon are 0
-
-
-def bin_directions() -> tuple[Array, Array]:
-    """Return wi and wo at the bin centres, each `[theta_half, theta_diff, phi_diff, 3]`."""
-    return from_half_difference(*databases.bin_angles())
+PAIRS_AT_ONCE = 1 << 16
 
 
 Colours = Callable[[Array, Array], Array]  # XYZ under D65 of direction pairs, finer over wavelength than the Bsdf
 
 
-def merl_table(bsdf: Bsdf, block: int = 1 << 16, colours: Colours | None = None) -> Array:
+def merl_table(bsdf: Bsdf, colours: Colours | None) -> Array:
     """Return the linear sRGB reflectance (white under D65 is 1, 1, 1) in MERL's bins, `[half, diff, phi, 3]`.
 
     Args:
-        block: pairs at once.
         colours: for narrow orders.
 
     Raises:
         UnsupportedError: nothing but deltas, or a stochastic lobe.
     """
     refuse_unsuitable(bsdf, "a MERL file")
-    wi, wo = (a.reshape(-1, 3) for a in bin_directions())
+    wi, wo = (a.reshape(-1, 3) for a in from_half_difference(*databases.bin_angles()))
     up = np.flatnonzero((wi[:, 2] > MIN_COS) & (wo[:, 2] > MIN_COS))
     table = np.zeros((len(wi), 3))
-    for start in range(0, len(up), block):
-        some = up[start : start + block]
+    for start in range(0, len(up), PAIRS_AT_ONCE):
+        some = up[start : start + PAIRS_AT_ONCE]
         if colours is not None:
             table[some] = xyz_to_srgb_linear(colours(wi[some], wo[some]))
-            continue
-        table[some] = spectrum_to_rgb_linear(bsdf.evaluate(wi[some], wo[some]), bsdf.wavelengths_nm)
+        else:
+            table[some] = spectrum_to_rgb_linear(bsdf.evaluate(wi[some], wo[some]), bsdf.wavelengths_nm)
     return table.reshape(*SHAPE, 3)
 
 
@@ -183,7 +178,7 @@ def zemax_table(
     radial = np.concatenate([np.arange(0, 5, 0.5), np.arange(5, 20, 1), np.arange(20, 90, 2.5), np.arange(90, 176, 5)])
     i, a, r = np.meshgrid(incidence, azimuth, radial, indexing="ij")
     wo = scatter_direction(i, a, r)
-    wi = np.broadcast_to(_light(i), wo.shape)
+    wi = np.broadcast_to(direction(np.radians(i)), wo.shape)
     up = wo[..., 2] > 1e-4
     if wavelength_nm is None and colours is not None:
         channels = colours(wi[up], wo[up])
@@ -200,11 +195,6 @@ def zemax_table(
     values = np.zeros((channels.shape[1], *up.shape))
     values[:, up] = channels.T
     return ZemaxBsdf(incidence, azimuth, radial, values, _total(values, wo[..., 2], azimuth, radial))
-
-
-def _light(incidence_deg: Array) -> Array:
-    theta = np.radians(incidence_deg)
-    return np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1)
 
 
 def _total(values: Array, cos_o: Array, azimuth_deg: Array, radial_deg: Array) -> Array:
@@ -421,8 +411,9 @@ def write_tensor(path: str | Path, fields: Mapping[str, NDArray[Any]]) -> None:
     for name, array in arrays.items():
         offset = -(-offset // 8) * 8
         label = name.encode()
-        parts.append(struct.pack("<H", len(label)) + label)
-        parts.append(struct.pack("<HBQ", array.ndim, codes[array.dtype], offset))
+        parts.append(
+            struct.pack("<H", len(label)) + label + struct.pack("<HBQ", array.ndim, codes[array.dtype], offset)
+        )
         parts.append(struct.pack(f"<{array.ndim}Q", *array.shape))
         offset += array.nbytes
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
@@ -515,9 +506,7 @@ def write_rgl(path: str | Path, bsdf: Bsdf, description: str = "", **options: An
         NacreError: the file cannot be written.
     """
     write_tensor(path, rgl_fields(bsdf, description, **options))
-    lost = []
-    if bsdf.transmits:
-        lost.append("transmission and the lower side are left out")
+    lost = ["transmission and the lower side are left out"] if bsdf.transmits else []
     if np.any(bsdf.specular(np.radians([0.0, 45.0, 80.0])).reflectance > 1e-6):
         lost.append("the mirror-like (delta) part is left out")
     return lost + narrow_lost(bsdf)
@@ -603,13 +592,12 @@ def export_remarks(facts: Mapping[str, Any]) -> list[str]:
     Args:
         facts: from `nacre.analysis.import_export.export_material`.
     """
-    lines = []
-    for part in facts.get("parts", ()):
-        lines.append(
-            f"{part['name']}, {100 * part['mean_share']:.0f} % of the surface: one film of "
-            f"{part['film']['thickness_nm']:.1f} nm, n = {part['film']['film_ior']:.3f}; "
-            f"dE00 {part['residual_delta_e_2000']:.2f} on the mean of the angles"
-        )
+    lines = [
+        f"{part['name']}, {100 * part['mean_share']:.0f} % of the surface: one film of "
+        f"{part['film']['thickness_nm']:.1f} nm, n = {part['film']['film_ior']:.3f}; "
+        f"dE00 {part['residual_delta_e_2000']:.2f} on the mean of the angles"
+        for part in facts.get("parts", ())
+    ]
     if "film" in facts:
         film, varied = facts["film"], facts.get("thickness_map")
         size = f"{film['thickness_nm']:.1f}" if varied is None else f"{varied['low_nm']:.1f} to {varied['high_nm']:.1f}"
@@ -618,9 +606,9 @@ def export_remarks(facts: Mapping[str, Any]) -> list[str]:
             f"one film of {size} nm, n = {film['film_ior']:.3f}; "
             f"dE00 {facts['residual_delta_e_2000']:.2f} on the mean of {over}"
         )
-    for name, error in facts.get("errors_dE00", {}).items():
-        lines.append(
-            f"{name}: dE00 {error['mean']:.2f} mean, {error['max']:.2f} maximum; PNG {error['mean_png']:.2f}, "
-            f"{error['max_png']:.2f}"
-        )
+    lines += [
+        f"{name}: dE00 {error['mean']:.2f} mean, {error['max']:.2f} maximum; PNG {error['mean_png']:.2f}, "
+        f"{error['max_png']:.2f}"
+        for name, error in facts.get("errors_dE00", {}).items()
+    ]
     return lines + [f"not stored: {part}" for part in facts["lost"]]

@@ -11,7 +11,7 @@ import io
 import json
 import struct
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -324,9 +324,9 @@ def _without_film(root: ET.Element, shaders: Sequence[ET.Element]) -> str:
 
 def _is_neutral(entry: ET.Element) -> bool:
     """Whether an input has no effect."""
-    value = next((value for value, names in WITHOUT_EFFECT.items() if entry.get("name") in names), None)
-    given = entry.get("value")
-    return value is not None and given is not None and all(float(number) == value for number in given.split(","))
+    neutral = next((value for value, names in WITHOUT_EFFECT.items() if entry.get("name") in names), None)
+    text = entry.get("value")
+    return neutral is not None and text is not None and all(float(number) == neutral for number in text.split(","))
 
 
 def _followed(node: ET.Element, document: Document) -> tuple[ET.Element, dict[str, Number]]:
@@ -593,17 +593,17 @@ class Document:
         if node.tag in IMAGES:
             return self._image(node, scope, depth)
         inputs = {str(i.get("name")): i for i in node.findall("input")}
-
-        def of(name: str, default: float | None = None) -> Number | None:
-            if name in inputs:
-                return self.number(inputs[name], scope, depth + 1)
-            return None if default is None else Number(default)
-
-        if node.tag == "constant":
-            return of("value", 0.0)
         if node.tag in SAME:
-            return of("in")
-        return _computed(str(node.tag), of)
+            return self.number(inputs["in"], scope, depth + 1) if "in" in inputs else None
+        defaults = {"value": 0.0} if node.tag == "constant" else COMPUTED.get(str(node.tag), {})
+        numbers = [
+            self.number(inputs[name], scope, depth + 1) if name in inputs else Number(default)
+            for name, default in defaults.items()
+        ]
+        known = [number for number in numbers if number is not None]
+        if len(known) < len(numbers) or not known:
+            return None
+        return known[0] if node.tag == "constant" else _computed(str(node.tag), known)
 
     def text(self, entry: ET.Element, scope: ET.Element | None = None) -> str | None:
         """Return the text of an input that a constant gives, of any type, or None."""
@@ -659,48 +659,43 @@ class Document:
         return None if image is None else Number(0.0, 1.0, image)
 
 
-def _computed(kind: str, of: Callable[..., Number | None]) -> Number | None:
-    """Return the result of an arithmetic node, linear in at most one image."""
-    first, second = of("in1", 0.0), of("in2", 1.0 if kind in ("multiply", "divide") else 0.0)
-    if kind in ("add", "subtract") and first is not None and second is not None:
-        return _sum(first, second.scaled(-1.0 if kind == "subtract" else 1.0))
-    if kind == "multiply" and first is not None and second is not None:
+# node -> its inputs with their defaults
+COMPUTED = {
+    "add": {"in1": 0.0, "in2": 0.0}, "subtract": {"in1": 0.0, "in2": 0.0}, "multiply": {"in1": 0.0, "in2": 1.0},
+    "divide": {"in1": 0.0, "in2": 1.0}, "invert": {"amount": 1.0, "in": 0.0}, "mix": {"fg": 0.0, "bg": 0.0, "mix": 0.0},
+    **dict.fromkeys(("range", "remap"), {"in": 0.0, "inlow": 0.0, "inhigh": 1.0, "outlow": 0.0, "outhigh": 1.0}),
+}  # fmt: skip
+
+
+def _computed(kind: str, inputs: Sequence[Number]) -> Number | None:
+    """Return the result of an arithmetic node, linear in at most one image, or None."""
+    first, second, *others = inputs
+    if kind in ("add", "subtract", "invert"):
+        return _sum(first, second.scaled(1.0 if kind == "add" else -1.0))
+    if kind == "multiply":
         return _product(first, second)
-    if kind == "divide" and first is not None and second is not None:
+    if kind == "divide":
         return first.scaled(1.0 / second.constant) if second.image is None and second.constant else None
-    if kind == "invert":
-        amount, value = of("amount", 1.0), of("in", 0.0)
-        return None if amount is None or value is None else _sum(amount, value.scaled(-1.0))
     if kind == "mix":
-        front, back, share = of("fg", 0.0), of("bg", 0.0), of("mix", 0.0)
-        if front is None or back is None or share is None:
-            return None
-        change = _product(_sum(front, back.scaled(-1.0)), share)
-        return None if change is None else _sum(back, change)
-    if kind in ("range", "remap"):
-        value = of("in", 0.0)
-        limits = [
-            of(name, default) for name, default in (("inlow", 0.0), ("inhigh", 1.0), ("outlow", 0.0), ("outhigh", 1.0))
-        ]
-        if value is None or any(limit is None or limit.image is not None for limit in limits):
-            return None
-        a, b, c, d = (limit.constant for limit in limits if limit is not None)
-        factor = (d - c) / (b - a) if b != a else 0.0
-        return value.scaled(factor, c - factor * a)
-    return None
-
-
-def _sum(first: Number | None, second: Number | None) -> Number | None:
-    if first is None or second is None or (first.image is not None and second.image is not None):
+        difference = _sum(first, second.scaled(-1.0))
+        change = None if difference is None else _product(difference, others[0])
+        return None if change is None else _sum(second, change)
+    limits = inputs[1:]
+    if any(limit.image is not None for limit in limits):
         return None
-    constant = first.constant + second.constant
-    held = first if first.image is not None else second
-    return Number(constant, held.slope, held.image)
+    a, b, c, d = (limit.constant for limit in limits)
+    factor = (d - c) / (b - a) if b != a else 0.0
+    return first.scaled(factor, c - factor * a)
 
 
-def _product(first: Number | None, second: Number | None) -> Number | None:
-    if first is None or second is None:
+def _sum(first: Number, second: Number) -> Number | None:
+    if first.image is not None and second.image is not None:
         return None
+    varied = first if first.image is not None else second
+    return Number(first.constant + second.constant, varied.slope, varied.image)
+
+
+def _product(first: Number, second: Number) -> Number | None:
     if second.image is None:
         return first.scaled(second.constant)
     return second.scaled(first.constant) if first.image is None else None

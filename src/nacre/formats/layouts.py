@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -67,9 +68,14 @@ def write_levels(
     add_array(top, tile, columns, rows, side)
     if notes:
         top.add(gdstk.Label(notes[:500], (0.0, 0.0), layer=255))
+    _save(library, path)
+
+
+def _save(library: Any, path: Path, max_points: int = 199) -> None:
+    """Write a library as GDSII or OASIS by the suffix."""
     with atomic_path(path) as temporary:
         if path.suffix.lower() == ".gds":
-            library.write_gds(str(temporary))
+            library.write_gds(str(temporary), max_points=max_points)
         else:
             library.write_oas(str(temporary), compression_level=6)
 
@@ -137,9 +143,8 @@ def runs(levels: Levels) -> list[tuple[int, int, int, int]]:
     """Return maximal runs with equal level along y as (level, x, first y, end y)."""
     found = []
     for x, column in enumerate(levels):
-        ends = np.flatnonzero(np.diff(column)) + 1
-        edges = [0, *ends.tolist(), len(column)]
-        found += [(int(column[a]), x, a, b) for a, b in zip(edges[:-1], edges[1:])]
+        edges = [0, *(np.flatnonzero(np.diff(column)) + 1).tolist(), len(column)]
+        found += [(int(column[a]), x, a, b) for a, b in pairwise(edges)]
     return found
 
 
@@ -203,11 +208,7 @@ def write_layout(
     if columns * rows > 1 and box_um is not None:
         field = library.new_cell("FIELD")
         add_array(field, period, columns, rows, (box_um, box_um))
-    with atomic_path(path) as temporary:
-        if path.suffix.lower() == ".gds":
-            library.write_gds(str(temporary), max_points=MAX_CORNERS + 1)
-        else:
-            library.write_oas(str(temporary))
+    _save(library, path, MAX_CORNERS + 1)
     return len(xy) * columns * rows
 
 
@@ -271,11 +272,7 @@ def write_pixel_field(
     for kind, x, first, last in runs(from_below):
         origin = (x * n_x * spacing[0], first * n_y * spacing[1])
         count += add_array(top, made[kind], n_x, (last - first) * n_y, spacing, origin)
-    with atomic_path(path) as temporary:
-        if path.suffix.lower() == ".gds":
-            library.write_gds(str(temporary))
-        else:
-            library.write_oas(str(temporary), compression_level=6)
+    _save(library, path)
     return count
 
 

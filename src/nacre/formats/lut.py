@@ -211,8 +211,8 @@ def lobe_value(picture: Picture, wi: Array, wo: Array) -> Array:
     """Interpolate scattered light `[..., 3]`, 1/sr, without cosine, for pairs above the surface."""
     x, y, s = lobe_coordinates(wi, wo)
     shape = np.array(picture.values.shape[:3]) - 1
-    found = interpolate(picture.values, (s * shape[0], y * shape[1], x * shape[2]))
-    return np.asarray(found / (np.pi * lobe_weight(wi, wo))[..., None])
+    stored = interpolate(picture.values, (s * shape[0], y * shape[1], x * shape[2]))
+    return np.asarray(stored / (np.pi * lobe_weight(wi, wo))[..., None])
 
 
 # Shaders of a colour table: OSL with the renderer's closures, and a MaterialX graph.
@@ -269,20 +269,19 @@ def _closure_lines(table: LightTable, closure: Closure) -> str:
             continue
         columns, rows = _size(table.pictures[name])
         row = "azimuth" if table.pictures[name].rows == "azimuth" else "p"
-        found = f'nacre_look_up(concat(folder, "{name}.exr"), x, {row}, {columns}, {rows})'
-        lines += f"    if ({side}) BSDF += {found} * {_osl_closure(closure, side == 'behind')};\n"
+        colour = f'nacre_look_up(concat(folder, "{name}.exr"), x, {row}, {columns}, {rows})'
+        lines += f"    if ({side}) BSDF += {colour} * {_osl_closure(closure, side == 'behind')};\n"
     return lines
+
+
+OSL_SIMPLE = {"diffuse": "diffuse(N)", "translucent": "translucent(N)", "straight": "transparent()"}
 
 
 def _osl_closure(closure: Closure, behind: bool) -> str:
     ior = 1.0 / closure.ior if behind else closure.ior
     x, y = closure.alpha
-    if closure.kind == "diffuse":
-        return "diffuse(N)"
-    if closure.kind == "translucent":
-        return "translucent(N)"
-    if closure.kind == "straight":
-        return "transparent()"
+    if closure.kind in OSL_SIMPLE:
+        return OSL_SIMPLE[closure.kind]
     if closure.kind == "refract":
         if x == 0.0:
             return f"refraction(N, {ior:.7g})"
@@ -401,19 +400,18 @@ def _texel(graph: Graph, value: str, count: int) -> str:
 def _node(graph: Graph, table: LightTable, closure: Closure, x: str, rows: dict[str, str]) -> str:
     assert closure.front is not None
     tint = ("color3", f"@{_look_up(graph, table, closure.front, x, rows)}")
-    if closure.kind == "diffuse":
-        return graph.add("oren_nayar_diffuse_bsdf", "BSDF", color=tint)
-    if closure.kind == "translucent":
-        return graph.add("translucent_bsdf", "BSDF", color=tint)
+    if closure.kind in ("diffuse", "translucent"):
+        scatter = "oren_nayar_diffuse_bsdf" if closure.kind == "diffuse" else "translucent_bsdf"
+        return graph.add(scatter, "BSDF", color=tint)
+    roughness = ("vector2", f"{closure.alpha[0]:.7g}, {closure.alpha[1]:.7g}")
     if closure.kind in ("straight", "refract"):
+        ior = ("float", f"{closure.ior:.7g}")
         return graph.add(
-            "dielectric_bsdf", "BSDF", tint=tint, ior=("float", f"{closure.ior:.7g}"),
-            roughness=("vector2", f"{closure.alpha[0]:.7g}, {closure.alpha[1]:.7g}"), scatter_mode=("string", "T"),
-        )  # fmt: skip
+            "dielectric_bsdf", "BSDF", tint=tint, ior=ior, roughness=roughness, scatter_mode=("string", "T")
+        )
     return graph.add(
-        "generalized_schlick_bsdf", "BSDF", color0=tint, color90=tint,
-        roughness=("vector2", f"{closure.alpha[0]:.7g}, {closure.alpha[1]:.7g}"), scatter_mode=("string", "R"),
-    )  # fmt: skip
+        "generalized_schlick_bsdf", "BSDF", color0=tint, color90=tint, roughness=roughness, scatter_mode=("string", "R")
+    )
 
 
 # Write a folder of colour tables: images, shaders, a Blender script, a MaterialX graph and an index page.
@@ -531,7 +529,7 @@ def write_table(folder: str | Path, table: LightTable) -> tuple[Path, ...]:
             _write_png16(made / f"{name}.png", png_values(picture), table)
         texts = {
             "shader.glsl": glsl_text(table),
-            "shader.osl": osl_text(table),
+            "shader.osl": shader_text(table, identifier(table.name)),
             "blender.py": blender_text(table),
             "index.html": page_text(table),
         }
@@ -622,11 +620,6 @@ def glsl_text(table: LightTable) -> str:
         p = table.parameter
         lines.append(f"// p = ({_line(p.name)} - {p.low:g}) / {p.high - p.low:g}; the picture map holds p over uv")
     return "\n".join(lines) + "\n\n" + template("table.glsl")
-
-
-def osl_text(table: LightTable) -> str:
-    """Return the OSL shader."""
-    return shader_text(table, identifier(table.name))
 
 
 def blender_text(table: LightTable) -> str:
@@ -742,12 +735,12 @@ def write_three(
     return [*sorted(texts), MANIFEST]
 
 
-def _held(part: ThreePart) -> dict[str, Any]:
+def _content(part: ThreePart) -> dict[str, Any]:
     """Return a material's content in a module: facts and pictures."""
     document, pictures = description(part.table), _pictures(part)
     facets = document["facets"]
-    held: dict[str, Any] = {key: document[key] for key in ("name", "illuminant", "facets", "parameter", "lost")}
-    return held | {
+    content: dict[str, Any] = {key: document[key] for key in ("name", "illuminant", "facets", "parameter", "lost")}
+    return content | {
         "errors_dE00": document["errors_dE00"], "gloss_alphas": list(part.gloss_alphas),
         "is_two_sided": facets is not None and facets["transmits"] and facets["eta"] == 1.0,
         "rows_azimuth": any(picture.rows == "azimuth" for picture in pictures.values()),
@@ -759,9 +752,9 @@ def _pictures(part: ThreePart) -> dict[str, Picture]:
     return {name: part.table.pictures[name] for name in STORED if name in part.table.pictures} | dict(part.even)
 
 
-def _glsl(part: ThreePart, held: Mapping[str, Any]) -> str:
+def _glsl(part: ThreePart, content: Mapping[str, Any]) -> str:
     """Return a material's look-up code, preceded by its definitions."""
-    pictures, facets = _pictures(part), held["facets"]
+    pictures, facets = _pictures(part), content["facets"]
     defines = [f"#define NACRE_SAMPLES {SAMPLES}.0"]
     defines += [
         f"#define NACRE_{name.upper()}_BANDS {pictures[name].values.shape[0]}.0"
@@ -773,7 +766,7 @@ def _glsl(part: ThreePart, held: Mapping[str, Any]) -> str:
         defines.append(f"#define NACRE_GLOSS {len(part.gloss_alphas)}")
         defines.append(f"#define NACRE_GLOSS_ALPHAS float[NACRE_GLOSS]({widths})")
     flags = {
-        "MAP": "map" in pictures, "ONE_SIDED": not held["is_two_sided"], "ROWS_AZIMUTH": held["rows_azimuth"],
+        "MAP": "map" in pictures, "ONE_SIDED": not content["is_two_sided"], "ROWS_AZIMUTH": content["rows_azimuth"],
         "BRUSHED": facets is not None and facets["alpha"][0] != facets["alpha"][1],
     }  # fmt: skip
     defines += [f"#define NACRE_{name}" for name, is_set in flags.items() if is_set]
@@ -783,7 +776,7 @@ def _glsl(part: ThreePart, held: Mapping[str, Any]) -> str:
 
 def _modules(name: str, parts: Sequence[ThreePart], share: Share | None) -> dict[str, str]:
     """Return the package's modules, types and package file by name."""
-    first, *others = (_held(part) for part in parts)
+    first, *others = (_content(part) for part in parts)
     table = first | {"name": name, "second": others[0] if others else None, "share": None}
     if share is not None and share.map is None:
         table["share"] = share.mean
@@ -793,7 +786,7 @@ def _modules(name: str, parts: Sequence[ThreePart], share: Share | None) -> dict
     values_of = {
         "NAME": " ".join(name.split()).replace("*/", ""), "ILLUMINANT": first["illuminant"], "VERSION": __version__,
         "TABLE": json.dumps(table), "SAMPLES": str(SAMPLES),
-        "GLSL": json.dumps([_glsl(part, held) for part, held in zip(parts, (first, *others), strict=True)]),
+        "GLSL": json.dumps([_glsl(part, one) for part, one in zip(parts, (first, *others), strict=True)]),
     }  # fmt: skip
     names = ("table.js", "environment.js", "material.js", "node-material.js", "material.d.ts", "node-material.d.ts")
     texts = {}
@@ -838,15 +831,8 @@ def _page(name: str, parts: Sequence[ThreePart], texts: Mapping[str, str]) -> st
         for file, text in (library | own).items()
     }
     parameter = next((part.table.parameter for part in parts if part.table.parameter is not None), None)
-    illuminant = parts[0].table.illuminant
-    return render_page(
-        "three.html",
-        title=name,
-        illuminant=illuminant,
-        parameter=parameter,
-        version=__version__,
-        modules=json.dumps(modules),
-    )
+    facts = {"title": name, "illuminant": parts[0].table.illuminant, "parameter": parameter, "version": __version__}
+    return render_page("three.html", modules=json.dumps(modules), **facts)
 
 
 def _vendored(name: str) -> str:

@@ -78,8 +78,8 @@ class ProcessCurve:
         Raises:
             NacreError: the curve does not cover the values.
         """
-        given = re.split(r"[_(\[\s]+", self.words[1].rstrip(")] ").lower())[-1]
-        if wanted.unit == "nm" and given in NO_LENGTHS:
+        unit_in_heading = re.split(r"[_(\[\s]+", self.words[1].rstrip(")] ").lower())[-1]
+        if wanted.unit == "nm" and unit_in_heading in NO_LENGTHS:
             raise NacreError(f'{self.name}: "{self.words[1]}" is not a length; {wanted.path} is one, in nm, um or mm')
         low, high = float(self.values.min()), float(self.values.max())
         slack = SAME_LEVEL * (wanted.high - wanted.low)
@@ -149,7 +149,7 @@ def write_number_maps(
         curve = curves.get(one.path)
         settings = None if curve is None else curve.settings_of(one)
         prepared.append((one, place, curve, settings, _pitch_um(one, size_mm)))
-    written: list[Path] = []
+    paths: list[Path] = []
     for one, place, curve, settings, pitch_um in prepared:
         rows, columns = one.values.shape
         facts: dict[str, Any] = {
@@ -167,8 +167,8 @@ def write_number_maps(
         _write(one, to, place, settings, pitch_um, levels, facts)
         beside = place.with_name(place.name + ".json")
         write_text(beside, json.dumps(facts, indent=2) + "\n")
-        written += [place, beside]
-    return tuple(written)
+        paths += [place, beside]
+    return tuple(paths)
 
 
 def _curves(
@@ -215,19 +215,16 @@ def _write(
         with atomic_path(path) as temporary, temporary.open("wb") as stream:
             np.save(stream, values, allow_pickle=False)
     elif to == "csv":
+        what = facts.get("setting", f"{one.path}{f' in {one.unit}' if one.unit else ''}")
+        header = f"{what}; a line is a row of the picture, the first on top"
         with atomic_path(path) as temporary:
-            np.savetxt(temporary, values, delimiter=",", fmt="%.6g", header=_heading(one, facts))
+            np.savetxt(temporary, values, delimiter=",", fmt="%.6g", header=header)
     else:
         low, high = (one.low, one.high) if settings is None else (float(settings.min()), float(settings.max()))
         unit = (values - low) / (high - low) if high > low else np.zeros_like(values)
         grey = np.round(LARGEST_GREY * np.clip(unit, 0.0, 1.0)).astype(np.uint16)
         facts |= {"black": low, "white": high, "is": f"black + (white - black) * grey / {LARGEST_GREY}"}
         (write_png16 if to == "png16" else write_tiff16)(path, grey, facts, pitch_um)
-
-
-def _heading(one: NumberMap, facts: dict[str, Any]) -> str:
-    what = facts["setting"] if "setting" in facts else f"{one.path}{f' in {one.unit}' if one.unit else ''}"
-    return f"{what}; a line is a row of the picture, the first on top"
 
 
 def _write_mask(

@@ -145,15 +145,9 @@ def _of_scene(path: Path) -> set[Path]:
             todo += [real(folder / name) for folder in folders if name]
     found = _joined(folders, names)
     for recipe in [file for file in found if file.suffix.lower() == ".toml" and file.is_file()]:
-        found |= _of_recipe(recipe)
+        with contextlib.suppress(OSError, ValueError, RecursionError):  # no valid recipe
+            found |= _joined({recipe.parent}, set(_strings(tomllib.loads(recipe.read_text("utf-8")))))
     return found
-
-
-def _of_recipe(path: Path) -> set[Path]:
-    try:
-        return _joined({path.parent}, set(_strings(tomllib.loads(path.read_text("utf-8")))))
-    except (OSError, ValueError, RecursionError):
-        return set()
 
 
 def _substituted(text: str, parameters: dict[str, str]) -> str:

@@ -102,8 +102,7 @@ def find_by_path(data: Any, path: str, source: str) -> tuple[Any, Any]:
         RecipeError: the path does not exist.
     """
     if not isinstance(path, str) or len(path) > MAX_PATH:
-        shown = f"{path!r:.40}"
-        raise RecipeError(f"{source}: {shown} is not a path; write it like layers[0].thickness_nm")
+        raise RecipeError(f"{source}: {path!r:.40} is not a path; write it like layers[0].thickness_nm")
     keys: tuple[Any, ...] = path_keys(path, source)
     holder = data
     for key in keys[:-1]:
@@ -112,12 +111,8 @@ def find_by_path(data: Any, path: str, source: str) -> tuple[Any, Any]:
         except (KeyError, IndexError, TypeError):
             raise RecipeError(f'{source}: "{path}" does not exist in the recipe') from None
     last = keys[-1]
-    exists = (
-        (isinstance(holder, Mapping) and last in holder)
-        if isinstance(last, str)
-        else (isinstance(holder, list) and last < len(holder))
-    )
-    if not exists and not isinstance(holder, Mapping):
+    is_entry = isinstance(holder, list) and isinstance(last, int) and last < len(holder)
+    if not is_entry and not isinstance(holder, Mapping):
         raise RecipeError(f'{source}: "{path}" does not exist in the recipe')
     return holder, last
 
