@@ -43,9 +43,10 @@ def check_scale(lab: Array, path: Path) -> None:
     """
     if not len(lab):
         return
-    if lab[:, 0].max() > MOST_L:
-        raise RecipeError(f"{path}: L* reaches {lab[:, 0].max():g}; give L* from 0 to 100, a* and b* in the same scale")
-    if 0.0 < lab[:, 0].max() <= 1.0 and np.abs(lab[:, 1:]).max() <= 1.0:
+    lightest = lab[:, 0].max()
+    if lightest > MOST_L:
+        raise RecipeError(f"{path}: L* reaches {lightest:g}; give L* from 0 to 100, a* and b* in the same scale")
+    if 0.0 < lightest <= 1.0 and np.abs(lab[:, 1:]).max() <= 1.0:
         raise RecipeError(
             f"{path}: all numbers are at most 1, almost black; give L* from 0 to 100, a* and b* in the same scale"
         )
@@ -69,17 +70,16 @@ def named_lab(
     """
     names: list[str] = []
     parts: list[Array] = []
-    said: list[str] = []
+    remarks: list[str] = []
     usable = [each for each in measurements if _QUANTITIES & set(each.data)]
     if usable and len(usable) < len(measurements):
-        said.append(f"{len(measurements) - len(usable)} spectra that hold no colour are not used")
+        remarks.append(f"{len(measurements) - len(usable)} spectra that hold no colour are not used")
     for measurement in usable or measurements:
-        lab, sentence = _lab(path, measurement, illuminant, observer)
-        own = measurement.metadata.get("names") or [measurement.name] * len(lab)
-        names += [str(name) for name in own]
+        lab, remark = _lab(path, measurement, illuminant, observer)
+        names += map(str, measurement.metadata.get("names") or [measurement.name] * len(lab))
         parts.append(lab)
-        said += [text for text in (sentence, *measurement.assumed, *measurement.left_out) if text and text not in said]
-    return names, np.concatenate(parts), said
+        remarks += filter(None, (remark, *measurement.assumed, *measurement.left_out))
+    return names, np.concatenate(parts), list(dict.fromkeys(remarks))
 
 
 def _lab(path: Path, measurement: Measurement, illuminant: str, observer: str) -> tuple[Array, str]:
@@ -106,19 +106,18 @@ def _lab(path: Path, measurement: Measurement, illuminant: str, observer: str) -
     if lamp not in ILLUMINANTS:
         raise NacreError(f"{path}: its illuminant {lamp} is not known; known: {', '.join(ILLUMINANTS)}")
     own_white = white_xyz(lamp, view)
+    is_same = (lamp, view) == (illuminant, observer)
     if "L" in data:
         lab = np.stack([data[name] for name in "Lab"], axis=-1)
-        if (lamp, view) == (illuminant, observer):
+        if is_same:
             return lab, ""
         xyz = lab_to_xyz(lab, own_white)
     elif "X" in data:
         xyz = np.stack([data[name] for name in "XYZ"], axis=-1) / 100.0
     else:
         raise NacreError(f"{path}: holds {', '.join(data)} ({measurement.kind}), no colours")
-    sentence = (
-        "" if (lamp, view) == (illuminant, observer) else f"adapted from {lamp}, {view} to {illuminant}, {observer}"
-    )
-    return xyz_to_lab(adapt_xyz(xyz, own_white, white), white), sentence
+    remark = "" if is_same else f"adapted from {lamp}, {view} to {illuminant}, {observer}"
+    return xyz_to_lab(adapt_xyz(xyz, own_white, white), white), remark
 
 
 # Colour lists: names, canonical arrays, illuminant and observer.
@@ -206,17 +205,9 @@ _FIELDS = {"LAB": ("LAB_L", "LAB_A", "LAB_B"), "XYZ": ("XYZ_X", "XYZ_Y", "XYZ_Z"
 EMISSION = ("CCSS", "CCMX")
 COLORBURST = ("D_RED", "D_GREEN", "D_BLUE", "D_VIS", "LAB_L", "LAB_A", "LAB_B")
 MAX_FACTOR = 4.0  # far above the radiance factor of fluorescent paper
-_METADATA = (
-    "DESCRIPTOR",
-    "ORIGINATOR",
-    "CREATED",
-    "INSTRUMENTATION",
-    "MEASUREMENT_SOURCE",
-    "MEASUREMENT_GEOMETRY",
-    "DEVICE_CLASS",
-    "FILTER",
-    "SAMPLE_BACKING",
-    "MANUFACTURER",
+_METADATA = tuple(
+    "DESCRIPTOR ORIGINATOR CREATED INSTRUMENTATION MEASUREMENT_SOURCE MEASUREMENT_GEOMETRY DEVICE_CLASS FILTER "
+    "SAMPLE_BACKING MANUFACTURER".split()
 )
 
 
@@ -270,8 +261,8 @@ def read_cgats(path: Path, options: ReadOptions) -> list[Measurement]:
     if not found:
         if any("EMISS" in table.keywords.get("MEAS_TYPE", "").upper() for table in tables):
             raise NacreError(f"{path}: MEAS_TYPE states the spectrum of a light, no reflectances")
-        held = ", ".join(dict.fromkeys(empty)) or "no table"
-        raise NacreError(f"{path}: holds {held} only; a list of L*a*b*, XYZ or spectra is needed")
+        content = ", ".join(dict.fromkeys(empty)) or "no table"
+        raise NacreError(f"{path}: holds {content} only; a list of L*a*b*, XYZ or spectra is needed")
     return found
 
 
@@ -333,17 +324,19 @@ def _keyword(tables: list[Table], text: str) -> None:
     """Add a keyword; repeated keywords, as of WEIGHTING_FUNCTION, are joined."""
     if tables[-1].ended:
         tables.append(Table())
-    words = [match[1] if match[2] is None else match[2] for match in _TOKEN.finditer(text)]
-    key = words[0].upper()
-    value = " ".join(words[1:]).split(" # ")[0].strip()
+    key, *words = _words(text)
+    key = key.upper()
+    value = " ".join(words).split(" # ")[0].strip()
     old = tables[-1].keywords.get(key)
     tables[-1].keywords[key] = value if old is None or key == "KEYWORD" else f"{old}; {value}"
 
 
 def _cells(line: str, count: int) -> list[str]:
     by_tab = [cell.strip().strip('"') for cell in line.split("\t")]
-    if len(by_tab) == count:
-        return by_tab
+    return by_tab if len(by_tab) == count else _words(line)
+
+
+def _words(line: str) -> list[str]:
     return [match[1] if match[2] is None else match[2] for match in _TOKEN.finditer(line)]
 
 
@@ -368,25 +361,24 @@ def measurement_of(path: Path, table: Table) -> Measurement | None:
     if "Y" in data and len(table.rows) > 1 and data["Y"].max() <= 1.0:
         assumed.append(f"Y up to {data['Y'].max():.3g} of a white of Y = 100, as CGATS.17 defines: very dark colours")
     left_out: list[str] = []
-    is_display = (
-        "DISPLAY" in table.keywords.get("DEVICE_CLASS", "")
-        or "EMISS" in str(table.keywords.get("MEAS_TYPE", "")).upper()
-    )
+    measured = table.keywords.get("MEAS_TYPE", "").upper()
+    is_display = "DISPLAY" in table.keywords.get("DEVICE_CLASS", "") or "EMISS" in measured
     if bands and table.rows and not is_display:
+        nm = np.array([nm for nm, _ in bands])
         spectra = np.array([[_number(path, row, at, table.fields[at]) for _, at in bands] for row in table.rows])
         norm = number(table.keywords.get("SPECTRAL_NORM", "")) or 0.0
-        factor = 1.0 / norm if norm > 0.0 else _scale(spectra, np.array([nm for nm, _ in bands]), data, assumed)
+        factor = 1.0 / norm if norm > 0.0 else _scale(spectra, nm, data, assumed)
         if norm and np.nanmax(spectra) * factor > MAX_FACTOR:
             raise NacreError(
                 f"{path}: spectra up to {np.nanmax(spectra) * factor:.3g} of SPECTRAL_NORM are those of a light, no "
                 "reflectances"
             )
-        data |= {"wavelength_nm": np.array([nm for nm, _ in bands]), "spectra": spectra * factor}
+        data |= {"wavelength_nm": nm, "spectra": spectra * factor}
     elif bands:
         left_out.append("spectra that a display emits")
     if not data:
         return None
-    if "TRANSM" in table.keywords.get("MEAS_TYPE", "").upper():
+    if "TRANSM" in measured:
         assumed.append("MEAS_TYPE states transmitted light: the values are of transmittances")
     if is_display:
         assumed.append("X, Y, Z are of the light that a display emits, relative to its white")
@@ -416,8 +408,8 @@ def _light(keywords: dict[str, str]) -> tuple[str | None, str | None]:
     view = re.search(r"ObserverAngle\s*=\s*(\S+)", source)
     lamps = (parts.get("ILLUMINANT"), keywords.get("ILLUMINANT"), keywords.get("ILLUMINATION_NAME"), lamp and lamp[1])
     views = (parts.get("OBSERVER"), keywords.get("OBSERVER"), keywords.get("OBSERVER_ANGLE"), view and view[1])
-    illuminant = next((found for text in lamps if text and (found := illuminant_in(text))), None)
-    observer = next((found for text in views if text and (found := observer_in(text))), None)
+    illuminant = next(filter(None, (illuminant_in(text) for text in lamps if text)), None)
+    observer = next(filter(None, (observer_in(text) for text in views if text)), None)
     return illuminant, observer
 
 
@@ -479,19 +471,15 @@ def read_icc_text(path: Path, options: ReadOptions) -> list[Measurement]:
     encoding = lines[1].split(";")[0].strip()
     if encoding not in ("icEncodeValue", "icEncodeFloat") or (encoding == "icEncodeFloat" and signature == "Lab "):
         raise NacreError(f"{path}: the encoding {encoding} is not read; allowed: icEncodeValue")
-    found = blocks(lines[2:], least_rows=1, least_columns=3)
-    if (
-        len(found) != 1
-        or found[0].table.shape[1] != 3
-        or np.isnan(found[0].table).any()
-        or found[0].stop < len(lines) - 2
-    ):
+    tables = blocks(lines[2:], least_rows=1, least_columns=3)
+    table = tables[0].table if len(tables) == 1 and tables[0].stop == len(lines) - 2 else np.empty((0, 0))
+    if table.shape[1] != 3 or np.isnan(table).any():
         raise NacreError(f"{path}: should hold rows of three numbers below its two lines of format")
     scale = 100.0 if encoding == "icEncodeFloat" else 1.0
-    data = {name: found[0].table[:, place] * scale for place, name in enumerate(_ICC_TEXT_NAMES[signature])}
-    names = [str(place) for place in range(1, len(found[0].table) + 1)]
-    return [colours(path, names, data, assumed=["D50 and the observer 2deg, as ICC defines the space"],
-                    illuminant="D50", observer="2deg")]  # fmt: skip
+    data = dict(zip(_ICC_TEXT_NAMES[signature], table.T * scale))
+    names = [str(place) for place in range(1, len(table) + 1)]
+    assumed = ["D50 and the observer 2deg, as ICC defines the space"]
+    return [colours(path, names, data, assumed=assumed, illuminant="D50", observer="2deg")]
 
 
 # Delimited colour tables without a head of CGATS.
@@ -501,13 +489,12 @@ def read_icc_text(path: Path, options: ReadOptions) -> list[Measurement]:
 
 XYY = {"x": "XYY_X", "y": "XYY_Y", "Y": "XYY_CAPY"}
 RGB = {"r": "RGB_R", "g": "RGB_G", "b": "RGB_B", "red": "RGB_R", "green": "RGB_G", "blue": "RGB_B"}
-NAMES = {"name": "SAMPLE_NAME", "patch": "SAMPLE_NAME", "colour": "SAMPLE_NAME", "color": "SAMPLE_NAME",
-         "colourname": "SAMPLE_NAME", "colorname": "SAMPLE_NAME", "samplename": "SAMPLE_NAME", "id": "SAMPLE_ID",
-         "no": "SAMPLE_ID", "nr": "SAMPLE_ID", "number": "SAMPLE_ID", "index": "SAMPLE_ID", "sampleid": "SAMPLE_ID",
-         "sample": "SAMPLE_ID"}  # fmt: skip
+NAMES = dict.fromkeys("name patch colour color colourname colorname samplename".split(), "SAMPLE_NAME")
+NAMES |= dict.fromkeys("id no nr number index sampleid sample".split(), "SAMPLE_ID")
 LAB = {"l": "LAB_L", "a": "LAB_A", "b": "LAB_B", "c": "LAB_C", "h": "LAB_H"}
-LIGHTS = {"illuminant": "ILLUMINANT", "illum": "ILLUMINANT", "lightsource": "ILLUMINANT", "observer": "OBSERVER",
-          "observerangle": "OBSERVER", "obs": "OBSERVER", "illuminantobserver": "BOTH", "illobs": "BOTH"}  # fmt: skip
+LIGHTS = dict.fromkeys(("illuminant", "illum", "lightsource"), "ILLUMINANT")
+LIGHTS |= dict.fromkeys(("observer", "observerangle", "obs"), "OBSERVER")
+LIGHTS |= dict.fromkeys(("illuminantobserver", "illobs"), "BOTH")
 OBSERVER_BEHIND = re.compile(r"[\s/,]+(?:2|10)\b|19(?:31|64)")
 FACTOR_LIMIT = 1.1  # larger than Y of any reflecting sample relative to white = 1
 
@@ -533,16 +520,16 @@ def read_colour_table(path: Path, options: ReadOptions) -> list[Measurement]:
         if len(row) != len(fields):
             raise NacreError(f'{path}: the row "{" ".join(row)[:60]}" has {len(row)} cells for {len(fields)} headings')
     light = _table_light(path, fields, rows)
-    kept = [place for place, field in enumerate(fields) if field not in LIGHTS.values()]
-    fields, rows = [fields[place] for place in kept], [[row[place] for place in kept] for row in rows]
-    found = measurement_of(path, Table(light, fields, rows, ended=True))
-    if found is None:
+    places = [place for place, field in enumerate(fields) if field not in LIGHTS.values()]
+    fields, rows = [fields[place] for place in places], [[row[place] for place in places] for row in rows]
+    measured = measurement_of(path, Table(light, fields, rows, ended=True))
+    if measured is None:
         return [_rgb(path, fields, rows)]
-    if "XYY_CAPY" in fields and float(found.data["Y"].max()) <= FACTOR_LIMIT:
-        data = {key: values * 100.0 if key in "XYZ" else values for key, values in found.data.items()}
+    if "XYY_CAPY" in fields and float(measured.data["Y"].max()) <= FACTOR_LIMIT:
+        data = {key: values * 100.0 if key in "XYZ" else values for key, values in measured.data.items()}
         note = f"Y of white = 1, because no Y is above {FACTOR_LIMIT}"
-        found = replace(found, data=data, assumed=(*found.assumed, note))
-    return [replace(found, format="colour-table")]
+        measured = replace(measured, data=data, assumed=(*measured.assumed, note))
+    return [replace(measured, format="colour-table")]
 
 
 def _start(lines: list[str]) -> int | None:
@@ -589,22 +576,21 @@ def _table_light(path: Path, fields: list[str], rows: list[list[str]]) -> dict[s
     Raises:
         NacreError: rows have different ones.
     """
-    found: dict[str, str] = {}
+    light: dict[str, str] = {}
     for place, name in enumerate(fields):
-        if name in LIGHTS.values():
-            texts = {row[place] for row in rows}
-            if len(texts) > 1:
-                shown = ", ".join(sorted(texts)[:4])
-                raise NacreError(
-                    f"{path}: the rows are for different illuminants or observers: {shown}; split the file"
-                )
-            text = "".join(texts)
-            # "D65/10" in the illuminant column states both
-            if name != "OBSERVER" and illuminant_in(text):
-                found["ILLUMINANT"] = text
-            if name == "OBSERVER" or (OBSERVER_BEHIND.search(text) and "OBSERVER" not in found):
-                found["OBSERVER"] = text
-    return found
+        if name not in LIGHTS.values():
+            continue
+        texts = {row[place] for row in rows}
+        if len(texts) > 1:
+            examples = ", ".join(sorted(texts)[:4])
+            raise NacreError(f"{path}: the rows are for different illuminants or observers: {examples}; split the file")
+        text = "".join(texts)
+        # "D65/10" in the illuminant column states both
+        if name != "OBSERVER" and illuminant_in(text):
+            light["ILLUMINANT"] = text
+        if name == "OBSERVER" or (OBSERVER_BEHIND.search(text) and "OBSERVER" not in light):
+            light["OBSERVER"] = text
+    return light
 
 
 def _rgb(path: Path, fields: list[str], rows: list[list[str]]) -> Measurement:

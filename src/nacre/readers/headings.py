@@ -136,9 +136,7 @@ def meanings(heading: str, unit: str = "") -> tuple[Meaning, ...]:
     if bare in _BARE_UNITS and len(text) > 1:
         return (Meaning(_BARE_UNITS[bare], bare),) if unit in ("", bare) else ()
     whole = _BRACKET.sub(r" \1 ", text)
-    found = _of_core(whole, Meaning("", unit)) if _is_function(text) else ()
-    if not found:
-        found = _of_bracketed(text, unit)
+    found = (_of_core(whole, Meaning("", unit)) if _is_function(text) else ()) or _of_bracketed(text, unit)
     if text[:1] == "w" and any(meaning.quantity == "angular_frequency" for meaning in found):  # "w[nm]" names no time
         spoken = "wavelength" if found[0].unit in ("nm", "um", "angstrom") else "angular_frequency"
         found = tuple(meaning for meaning in found if meaning.quantity == spoken)
@@ -246,14 +244,12 @@ def _of_core(core: str, base: Meaning) -> tuple[Meaning, ...]:
     per_cent = re.fullmatch(r"%\s*(.+)|(.+?)\s*%", core)
     if per_cent and base.unit in ("", "%"):
         core, base = (per_cent[1] or per_cent[2]).strip(" /_,"), replace(base, unit="%")
-    found = _of_words(core, base)
-    if found:
+    if found := _of_words(core, base):
         return found
     match = _SUFFIX_UNIT.fullmatch(core) or re.fullmatch(r"(\w{3,}.*?)\s*/\s*(m)", core)
     if match:
-        unit = parse_unit(re.sub("per[_ ]", "1/", re.sub("per[_ ]cent", "percent", match[2].lower()))) or parse_unit(
-            match[2]
-        )
+        spelt = re.sub("per[_ ]", "1/", re.sub("per[_ ]cent", "percent", match[2].lower()))
+        unit = parse_unit(spelt) or parse_unit(match[2])
         if unit and base.unit in ("", unit):
             return _of_words(match[1].strip(" /_,-"), replace(base, unit=unit))
     return ()
@@ -319,10 +315,9 @@ def _peeled(core: str, base: Meaning) -> tuple[Meaning, ...]:
     tokens = [token for token in re.split(r"[\s_,/-]+", core) if token]
     if len(tokens) < 2 and (camel := re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+|[^\W\d_]", core)) and len(camel) > 1:
         tokens = camel if "".join(camel) == core else tokens
-    if len(tokens) == 1 and _spelt(tokens[0]).strip().lower() in ERROR_WORDS:
-        return (replace(base, is_error=True),)
     if len(tokens) < 2:
-        return ()
+        is_error = len(tokens) == 1 and _spelt(tokens[0]).strip().lower() in ERROR_WORDS
+        return (replace(base, is_error=True),) if is_error else ()
     if len(tokens) == 2 and (both := set(_lookup(tokens[0])) & set(_lookup(tokens[1]))):  # "Wavelength λ"
         return tuple(replace(base, quantity=name) for name in sorted(both))
     for place in (len(tokens) - 1, 0, *range(1, len(tokens) - 1)):
@@ -368,21 +363,14 @@ def _of_other_dimension(meaning: Meaning) -> Meaning | None:
     """Return the meaning of a symbol whose unit decides: ω in eV, x in pixels, counts, R in per cent."""
     name, unit = meaning.quantity, meaning.unit
     kind = UNITS[unit][0]
-    if name in DIMENSIONS and kind == "pixels" and name in ("x", "y", "radius", "diameter", "z"):
-        return meaning
-    if name in ("angular_frequency", "frequency") and kind == "energy":
-        return replace(meaning, quantity="energy")
-    if name == "frequency" and kind == "wavenumber":
-        return replace(meaning, quantity="wavenumber")
+    if (name in ("angular_frequency", "frequency") and kind == "energy") or (name, kind) == ("frequency", "wavenumber"):
+        return replace(meaning, quantity=kind)
     if name in DIMENSIONS:
-        return None
-    if kind == "number":
-        return None if name in ("n", "k", "eps1", "eps2", "L", "a", "b", "X", "Y", "Z") else meaning
-    if kind == "counts":
-        return (
-            meaning if name.endswith("counts") else replace(meaning, quantity="counts") if name == "intensity" else None
-        )
-    return None
+        return meaning if kind == "pixels" and name in ("x", "y", "radius", "diameter", "z") else None
+    if (name, kind) == ("intensity", "counts"):
+        return replace(meaning, quantity="counts")
+    is_number = kind == "number" and name not in ("n", "k", "eps1", "eps2", "L", "a", "b", "X", "Y", "Z")
+    return meaning if is_number or (kind == "counts" and name.endswith("counts")) else None
 
 
 _WORD = re.compile(r"[^\W\d_]+\d?(?:[_'-]?[^\W\d_]+)*|%", re.UNICODE)
@@ -418,12 +406,9 @@ def stated_unit(heading: str) -> str:
         ('nm', 'um', '')
     """
     text = normal(heading)
-    for content in _BRACKET.findall(text):
-        unit = parse_unit(content)
-        if unit:
-            return unit
     match = _SUFFIX_UNIT.fullmatch(text)
-    return (parse_unit(match[2]) if match else None) or ""
+    texts = [*_BRACKET.findall(text), *([match[2]] if match else [])]
+    return next(filter(None, map(parse_unit, texts)), "")
 
 
 # Incidence angle and polarisation in the lines above a table, such as "AOI = 45 deg" or "s-polarized".
@@ -551,5 +536,5 @@ def with_preamble(measurement: Measurement, above: Preamble) -> Measurement:
     }
     if not new:
         return measurement
-    said = f"angle or polarisation from {' and '.join(map(repr, above.lines))}"
-    return replace(measurement, metadata={**measurement.metadata, **new}, assumed=(*measurement.assumed, said))
+    remark = f"angle or polarisation from {' and '.join(map(repr, above.lines))}"
+    return replace(measurement, metadata={**measurement.metadata, **new}, assumed=(*measurement.assumed, remark))

@@ -40,8 +40,8 @@ def sniff_palette(head: FileHead) -> float:
     lines = [line for line in head.lines[:200] if line.strip() and not _is_remark(line)]
     if not head.is_text or not lines or head.size > 1 << 22 or max(map(len, lines)) > LONGEST:
         return 0.0  # the search for a name is cubic in a line's blanks
-    whole = lines[:-1] if head.size > len(head.data) else lines
-    matches = [_HEX.fullmatch(line) for line in whole]
+    complete_lines = lines[:-1] if head.size > len(head.data) else lines
+    matches = [_HEX.fullmatch(line) for line in complete_lines]
     is_hex = all(matches) and any(match["mark"] or re.search("[A-Fa-f]", match["hex"]) for match in matches if match)
     return LIKELY if is_hex else 0.0
 
@@ -68,11 +68,8 @@ def read_palette(path: Path, options: ReadOptions) -> list[Measurement]:
             bad = next(line for line, match in zip(lines, matches, strict=True) if not match)
             raise NacreError(f'{path}: "{bad.strip()[:40]}" is not a hexadecimal colour')
         # Paint.NET writes AARRGGBB
-        found = [
-            (hex_to_srgb(match["hex"][-6:]), (match["name"] or match["after"] or "").strip())
-            for match in matches
-            if match
-        ]
+        fields = [match.groupdict("") for match in matches if match]
+        found = [(hex_to_srgb(each["hex"][-6:]), (each["name"] or each["after"]).strip()) for each in fields]
         format_id = "hex"
     names = [own or str(place) for place, (_, own) in enumerate(found, start=1)]
     srgb = [rgb for rgb, _ in found]
@@ -136,10 +133,11 @@ def sniff_ase(head: FileHead) -> float:
     version, count = struct.unpack_from(">HH", head.data)
     spaces = {struct.unpack_from(">H", head.data, 4 + 10 * place)[0] for place in range(min(count, 20))
               if 6 + 10 * place <= len(head.data)}  # fmt: skip
-    is_first = version == 1 and 0 < count and 4 + 10 * count <= head.size and spaces <= set(range(16))
-    if is_first and 4 + 10 * count + 4 <= len(head.data):
-        return CERTAIN if struct.unpack_from(">H", head.data, 4 + 10 * count)[0] == 2 else 0.0
-    return CERTAIN if is_first and 4 + 10 * count == head.size else 0.0
+    end = 4 + 10 * count  # of the first part
+    if version != 1 or count == 0 or end > head.size or not spaces <= set(range(16)):
+        return 0.0
+    has_second = end + 4 <= len(head.data) and struct.unpack_from(">H", head.data, end)[0] == 2
+    return CERTAIN if has_second or end == head.size else 0.0
 
 
 def read_ase(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -147,26 +145,20 @@ def read_ase(path: Path, options: ReadOptions) -> list[Measurement]:
     data = path.read_bytes()
     is_ase = data.startswith(ASE_MAGIC)
     swatches = _ase(data) if is_ase else _aco(data)
-    left = [f"{name} ({space})" for name, space, _ in swatches if space not in _UNMANAGED]
-    left_out = [f"{len(left)} swatches without a colour of a surface: {', '.join(left)[:200]}"] if left else []
-    found = []
+    others = [f"{name} ({space})" for name, space, _ in swatches if space not in _UNMANAGED]
+    left_out = [f"{len(others)} swatches without a colour of a surface: {', '.join(others)[:200]}"] if others else []
+    lists = []
     for space in _UNMANAGED:
-        entries = [(name, values) for name, own, values in swatches if own == space]
-        if entries:
-            names = [name for name, _ in entries]
-            table = list(zip(*(values for _, values in entries), strict=True))
-            data_of = (
-                {"srgb": [values for _, values in entries]} if space == "srgb" else dict(zip("Lab", table, strict=True))
-            )
-            found.append(
-                colours(
-                    path, names, data_of, name=space, left_out=left_out,
-                    assumed=[SRGB] if space == "srgb" else []
-                )
-            )  # fmt: skip
-    if not found:
+        names = [name for name, own, _ in swatches if own == space]
+        table = [values for _, own, values in swatches if own == space]
+        if names and space == "srgb":
+            lists.append(colours(path, names, {"srgb": table}, name=space, left_out=left_out, assumed=[SRGB]))
+        elif names:
+            lab = dict(zip("Lab", zip(*table, strict=True), strict=True))
+            lists.append(colours(path, names, lab, name=space, left_out=left_out))
+    if not lists:
         raise NacreError(f"{path}: holds no colour of a surface; {left_out[0] if left_out else 'no swatches'}")
-    return found
+    return lists
 
 
 def _ase(data: bytes) -> list[Swatch]:
@@ -250,8 +242,8 @@ class Specification:
 
     illuminant: str | None = None
     observer: str | None = None
-    start_nm: float | None = None
-    step_nm: float | None = None
+    start_nm: float = 0.0  # 0: not stated
+    step_nm: float = 0.0
 
 
 def sniff_cxf(head: FileHead) -> float:
@@ -277,7 +269,9 @@ def read_cxf(path: Path, options: ReadOptions) -> list[Measurement]:
     specifications = {
         node.get("Id", ""): _specification(node) for node in root.iter() if _local(node) == "ColorSpecification"
     }
-    groups: dict[tuple[object, ...], list[tuple[str, dict[str, list[float]]]]] = {}
+    groups: dict[
+        tuple[Specification, tuple[float, ...], tuple[str, ...]], list[tuple[str, dict[str, list[float]]]]
+    ] = {}
     left_out: dict[str, int] = {}
     for node in root.iter():
         if _local(node) != "Object":
@@ -297,24 +291,22 @@ def read_cxf(path: Path, options: ReadOptions) -> list[Measurement]:
 
 def _measurement(
     path: Path,
-    key: tuple[object, ...],
+    key: tuple[Specification, tuple[float, ...], tuple[str, ...]],
     entries: list[tuple[str, dict[str, list[float]]]],
     skipped: list[str],
     states_grid: bool,
 ) -> Measurement:
     specification, grid, kinds = key
-    assert isinstance(specification, Specification)
-    table = {kind: np.array([values[kind] for _, values in entries]) for _, kind in enumerate(sorted(entries[0][1]))}
+    table = {kind: np.array([values[kind] for _, values in entries]) for kind in kinds}
     data: dict[str, np.ndarray] = {}
     for kind, names in (("lab", "Lab"), ("xyz", "XYZ")):
         if kind in table:
-            data |= {name: table[kind][:, place] for place, name in enumerate(names)}
+            data |= dict(zip(names, table[kind].T))
     if "srgb" in table:
         data["srgb"] = table["srgb"]
-    if "spectra" in table:
-        data["wavelength_nm"] = np.asarray(grid)
     assumed = [SRGB] if kinds == ("srgb",) else []
     if "spectra" in table:
+        data["wavelength_nm"] = np.asarray(grid)
         data["spectra"] = table["spectra"] * spectra_scale(table["spectra"], assumed)
         if not states_grid:
             assumed.append("wavelengths in steps of 10 nm by the number of values; the file states no increment")
@@ -338,35 +330,34 @@ def _values(
             kind = _local(colour)
             specification = specifications.get(colour.get("ColorSpecification", ""), Specification())
             parts = {_local(child): float(child.text or "nan") for child in colour if (child.text or "").strip()}
-            found: list[float] | None = None
             if kind == "ColorCIELab":
-                name, found = "lab", [parts["L"], parts["A"], parts["B"]]
+                name, numbers = "lab", [parts[letter] for letter in "LAB"]
             elif kind == "ColorCIELCh":
                 if parts["C"] < 0:
                     raise NacreError(f"{path}: C = {parts['C']:g} is a negative chroma; allowed: 0 or more")
-                name, found = "lab", lch_to_lab([parts["L"], parts["C"], parts["H"]]).tolist()
+                name, numbers = "lab", lch_to_lab([parts[letter] for letter in "LCH"]).tolist()
             elif kind == "ColorCIEXYZ":
-                name, found = "xyz", [parts["X"], parts["Y"], parts["Z"]]
+                name, numbers = "xyz", [parts[letter] for letter in "XYZ"]
             elif kind == "ColorCIExyY":
-                name, found = "xyz", xyy_to_xyz([parts["x"], parts["y"], parts["Y"]]).tolist()
+                name, numbers = "xyz", xyy_to_xyz([parts[letter] for letter in "xyY"]).tolist()
             elif kind == "ColorSRGB":
                 largest = float(colour.get("MaxRange", "255"))
-                name, found = "srgb", [parts[letter] / largest for letter in "RGB"]
+                name, numbers = "srgb", [parts[letter] / largest for letter in "RGB"]
             elif kind == "ReflectanceSpectrum":
-                name, found = "spectra", [float(word) for word in (colour.text or "").split()]
-                grid = _grid(path, colour, specification, len(found))
-            if found is None:
+                name, numbers = "spectra", [float(word) for word in (colour.text or "").split()]
+                grid = _grid(path, colour, specification, len(numbers))
+            else:
                 left_out[kind] = left_out.get(kind, 0) + 1
                 continue
-            values.setdefault(name, found)
+            values.setdefault(name, numbers)
             if kind != "ColorSRGB" and (specification.illuminant or light == Specification()):
                 light = Specification(specification.illuminant, specification.observer)
     return values, light, grid
 
 
 def _grid(path: Path, node: Xml.Element, specification: Specification, count: int) -> tuple[float, ...]:
-    start = float(node.get("StartWL") or specification.start_nm or 0.0)
-    step = float(node.get("Increment") or specification.step_nm or 0.0)
+    start = float(node.get("StartWL") or specification.start_nm)
+    step = float(node.get("Increment") or specification.step_nm)
     usual = USUAL_GRIDS.get(count, 0.0)
     if step <= 0 and usual and start in (0.0, usual):  # X-Rite's .mxf states neither
         start, step = usual, 10.0
@@ -377,13 +368,10 @@ def _grid(path: Path, node: Xml.Element, specification: Specification, count: in
 
 def _specification(node: Xml.Element) -> Specification:
     texts = {_local(child): (child.text or "").strip() for child in node.iter()}
-    ranges = [child for child in node.iter() if _local(child) == "WavelengthRange"]
-    start, step = (
-        (float(ranges[0].get(key) or 0.0) or None for key in ("StartWL", "Increment")) if ranges else (None, None)
-    )
-    return Specification(
-        illuminant_in(texts.get("Illuminant", "")), observer_in(texts.get("Observer", "")), start, step
-    )
+    ranges = [child.attrib for child in node.iter() if _local(child) == "WavelengthRange"] or [{}]
+    start, step = (float(ranges[0].get(key) or 0.0) for key in ("StartWL", "Increment"))
+    illuminant, observer = illuminant_in(texts.get("Illuminant", "")), observer_in(texts.get("Observer", ""))
+    return Specification(illuminant, observer, start, step)
 
 
 def _local(node: Xml.Element) -> str:
@@ -394,10 +382,8 @@ def _local(node: Xml.Element) -> str:
 
 _LAMP_ROW = re.compile(r'\s*"?(?:Spectral Data )?(\d{3,4})\s*(?:\[?nm\]?)"?\s*[\t,;]\s*"?([-+\d.eE]+)"?')
 _MAKERS = re.compile(r"MK350|UPRtek|Model Name|Sekonic|Illuminance|CCT", re.IGNORECASE)
-_QUANTITIES = {
-    "reflectance": "reflectance", "r-factor": "reflectance", "transmittance": "transmittance",
-    "t-factor": "transmittance", "absorptance": "absorptance",
-}  # fmt: skip
+_QUANTITIES = {"r-factor": "reflectance", "t-factor": "transmittance"}
+_QUANTITIES |= {name: name for name in ("reflectance", "transmittance", "absorptance")}
 LAMP = "the spectrum of a lamp: an illuminant, no reflectance"
 
 
@@ -415,9 +401,10 @@ def read_lamp(path: Path, options: ReadOptions) -> list[Measurement]:
     if b"IESTM2714" in data[:3000]:
         return [_tm27(path, data, options)]
     lines = common.read_lines(path)
-    pairs = [match.groups() for line in lines if (match := _LAMP_ROW.match(line))]
+    matches = [match for line in lines if (match := _LAMP_ROW.match(line))]
     metadata = common.key_values([line for line in lines if not _LAMP_ROW.match(line)], "\t,;")
-    return [_lamp(path, [float(nm) for nm, _ in pairs], [float(value) for _, value in pairs], metadata, options)]
+    nm, values = ([float(match[place]) for match in matches] for place in (1, 2))
+    return [_lamp(path, nm, values, metadata, options)]
 
 
 def _lamp(
@@ -432,7 +419,7 @@ def _tm27(path: Path, data: bytes, options: ReadOptions) -> Measurement:
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise NacreError(f"{path}: declares entities, which TM-27 does not have")
     root = Xml.fromstring(data)
-    nodes = {str(node.tag).rpartition("}")[2]: (node.text or "").strip() for node in root.iter()}
+    nodes = {_local(node): (node.text or "").strip() for node in root.iter()}
     rows = [node for node in root.iter() if str(node.tag).endswith("SpectralData")]
     nm = [float(node.get("wavelength") or "nan") for node in rows]
     values = [float(node.text or "nan") for node in rows]

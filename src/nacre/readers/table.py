@@ -104,13 +104,11 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     if samples is not None:
         return samples
     kinds = [kind_of(table, options) for table in file.tables]
-    if all(kind == "constants" for kind in kinds):
-        found = constants_of(path, options, file.tables)
+    if set(kinds) == {"constants"}:
+        measured = constants_of(path, options, file.tables)
     else:
-        found = [each for table, kind in zip(file.tables, kinds) for each in _measurements(table, kind, options)]
-    if file.left_out:
-        found = [replace(each, left_out=(*each.left_out, *file.left_out)) for each in found]
-    return found
+        measured = [each for table, kind in zip(file.tables, kinds) for each in _measurements(table, kind, options)]
+    return [replace(each, left_out=(*each.left_out, *file.left_out)) for each in measured]
 
 
 def kind_of(table: TextTable, options: ReadOptions) -> Kind:
@@ -192,10 +190,8 @@ def constants_of(path: Path, options: ReadOptions, tables: Sequence[TextTable]) 
     for table in tables:
         _check_headerless(table, options)
     each = [interpret(table, OF_KIND["constants"], options, HEADERLESS["constants"]) for table in tables]
-    if len(each) == 2:
-        joined = _joined(each[0], each[1], options)
-        if joined is not None:
-            each = [joined]
+    if len(each) == 2 and (joined := _joined(each[0], each[1], options)) is not None:
+        each = [joined]
     found = []
     for columns in each:
         nm = columns.spectral_nm(options)
@@ -288,11 +284,9 @@ def spectrum_columns(table: TextTable, options: ReadOptions) -> Columns:
     Raises:
         AmbiguousFileError: no headings and no quantity.
     """
-    headerless = {}
     quantity = options.quantity or options.assumed_quantity
-    if quantity is not None:
-        headerless = {2: ("spectral", quantity)}
-    elif not table.headings and not options.columns:
+    headerless = {} if quantity is None else {2: ("spectral", quantity)}
+    if quantity is None and not table.headings and not options.columns:
         raise AmbiguousFileError(
             f"{table.path}: line {table.lines[0]}: no heading says what the {table.width} columns are; write one, such "
             'as "wavelength (nm),R (%)", or state quantity = "reflectance"',
