@@ -246,15 +246,15 @@ def tolerance(
         check_output(output, ".json")
     texture = _texture_limits(more["quantities"], more["instrument"], illuminant)
     material = common.load_material(recipe, changes)
-    found = recipe_tolerances(material, tolerances)
+    own_tolerances = recipe_tolerances(material, tolerances)
     with common.progress_bar("tolerance") as bar:
         task = bar.add_task("tolerance", total=draws, info="")
         result = run_tolerance(
-            material, found, draws=draws, limit=limit, seed=seed, illuminant=illuminant, samples=samples,
+            material, own_tolerances, draws=draws, limit=limit, seed=seed, illuminant=illuminant, samples=samples,
             geometries=geometries, texture=texture, workers=workers,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )  # fmt: skip
-    document = tolerance_document(result, found)
+    document = tolerance_document(result, own_tolerances)
     if output:
         write_text(output, json.dumps(document, indent=2) + "\n")
         common.note(output)
@@ -401,9 +401,9 @@ def ellipsometry(
         check_output(output, ".csv", ".json")
     angles, grid = common.angles(angles_deg), common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
-    found = compute_ellipsometry(material, angles, grid, azimuth_deg)
-    text = _csv(found.wavelengths_nm, found.angles_deg, found.columns())
-    document = {**ellipsometry_document(found), "provenance": recipe_provenance(material)}
+    result = compute_ellipsometry(material, angles, grid, azimuth_deg)
+    text = _csv(result.wavelengths_nm, result.angles_deg, result.columns())
+    document = {**ellipsometry_document(result), "provenance": recipe_provenance(material)}
     common.answer(document, text, output, as_json)
 
 

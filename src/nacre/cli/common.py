@@ -98,7 +98,7 @@ def set_jobs(jobs: int | None) -> None:
 def jobs_option(function: F) -> F:
     """Add `--jobs N`, which takes effect before numeric libraries are imported."""
     return click.option(
-        "--jobs", type=int, metavar="N", is_eager=True, expose_value=False, callback=lambda *given: set_jobs(given[2]),
+        "--jobs", type=int, metavar="N", is_eager=True, expose_value=False, callback=lambda *args: set_jobs(args[2]),
         help="Threads, or processes of sweeps, tolerances and batches; default: all cores.",
     )(function)  # fmt: skip
 

@@ -75,13 +75,13 @@ def _design_many(target: Any, labs: str, folder: Path, resume: bool, as_json: bo
     from nacre.optimise.batch import SUMMARY, TABLE, design_batch
 
     with _Screen() as screen:
-        found = design_batch(target, labs, folder, resume=resume, workers=workers, progress=screen.count)
+        batch = design_batch(target, labs, folder, resume=resume, workers=workers, progress=screen.count)
     if as_json:
         click.echo((folder / SUMMARY).read_text(encoding="utf-8"), nl=False)
     else:
-        met = sum(solution.is_met for solution in found.solutions)
-        click.echo(f"{met} of {len(found.rows)} colours are met")
-        pairs = list(zip(found.rows, found.solutions, strict=True))
+        met = sum(solution.is_met for solution in batch.solutions)
+        click.echo(f"{met} of {len(batch.rows)} colours are met")
+        pairs = list(zip(batch.rows, batch.solutions, strict=True))
         if len(pairs) > MAX_LISTED:
             pairs = sorted(pairs, key=lambda pair: -pair[1].worst.scaled)[:MAX_LISTED]
             click.echo(f"the {MAX_LISTED} farthest; all are in {folder / TABLE}")
@@ -92,7 +92,7 @@ def _design_many(target: Any, labs: str, folder: Path, resume: bool, as_json: bo
             name = row["name"] or row["folder"]
             click.echo(f"  {name}: {worst.distance_text} at {worst.target.geometry}{light}{missed}"
                        f"   {solution.recipe.parent if solution.recipe else ''}")  # fmt: skip
-    common.note(f"{folder}: {TABLE}; nacre render {folder / found.rows[0]['folder']}")
+    common.note(f"{folder}: {TABLE}; nacre render {folder / batch.rows[0]['folder']}")
 
 
 def _print_solutions(result: Any) -> None:
@@ -214,34 +214,36 @@ def gamut(
     material = common.load_material(recipe, changes)
     with common.progress_bar("gamut") as bar:
         task = bar.add_task("gamut", total=search["points"], info="")
-        found = find_gamut(
+        result = find_gamut(
             material, parameters, geometry, **search,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )  # fmt: skip
     if path is not None:
         if path.suffix == ".json":
-            write_text(path, json.dumps(found.document(), indent=1) + "\n")
+            write_text(path, json.dumps(result.document(), indent=1) + "\n")
         elif path.suffix == ".html":
-            write_text(path, gamut_page(found, material.name))
+            write_text(path, gamut_page(result, material.name))
         else:
             from nacre.plot import save_figure
 
-            save_figure(gamut_chart(found, title=f"{material.name}, {found.geometry}"), path, {"recipe": material.text})
+            save_figure(
+                gamut_chart(result, title=f"{material.name}, {result.geometry}"), path, {"recipe": material.text}
+            )
     if as_json:
-        click.echo(json.dumps(found.document()))
+        click.echo(json.dumps(result.document()))
     else:
-        low, high = found.lab.min(axis=0), found.lab.max(axis=0)
-        click.echo(f"{material.name}: {found.geometry}, {search['illuminant']}, {search['observer']} observer, "
-                   f"{len(found.lab)} points")  # fmt: skip
+        low, high = result.lab.min(axis=0), result.lab.max(axis=0)
+        click.echo(f"{material.name}: {result.geometry}, {search['illuminant']}, {search['observer']} observer, "
+                   f"{len(result.lab)} points")  # fmt: skip
         click.echo("  " + ", ".join(f"{n} {a:.0f} to {b:.0f}" for n, a, b in zip(("L*", "a*", "b*"), low, high)))
-        click.echo(f"  within dE00 {search['tolerance']:g}: {100 * found.share_of_srgb:.1f} % of the colours of sRGB, "
-                   f"{100 * found.share_of_optimal:.1f} % of the optimal colours")  # fmt: skip
-        tried = len(found.lab) + found.failed
-        points = search["points"] if found.possible is None else found.possible
+        click.echo(f"  within dE00 {search['tolerance']:g}: {100 * result.share_of_srgb:.1f} % of the colours of sRGB, "
+                   f"{100 * result.share_of_optimal:.1f} % of the optimal colours")  # fmt: skip
+        tried = len(result.lab) + result.failed
+        points = search["points"] if result.possible is None else result.possible
         if tried < points:
             click.echo(f"  stopped after {search['seconds']:g} s: {tried} of {points} points; --seconds gives it more")
-        if found.failed:
-            click.echo(f"  {found.failed} points could not be computed")
+        if result.failed:
+            click.echo(f"  {result.failed} points could not be computed")
     if path is not None:
         common.note(str(path))
 
@@ -367,19 +369,19 @@ def formulate(
         check_answers(folder)
     documents = []
     for number, (task, folder) in enumerate(zip(tasks, folders, strict=True), start=1):
-        found = run(
+        result = run(
             task,
             folder,
             lambda done, total, best: common.note(f"{done} of {total}: rms {best:.3g}") if done == total else None,
             resume,
         )
-        documents.append(formulation_document(found))
+        documents.append(formulation_document(result))
         if not as_json:
             if len(tasks) > 1:
                 click.echo(f"{folder.name} ({number} of {len(tasks)})")
             _print(documents[-1])
         common.note(str(folder))
-        if found.status == "interrupted":
+        if result.status == "interrupted":
             raise KeyboardInterrupt
     if as_json:
         click.echo(json.dumps(documents[0] if len(documents) == 1 else documents))
@@ -420,14 +422,17 @@ def _rematch(task: Any, batch: str, made: Path, answer: int, as_json: bool) -> N
         raise NacreError(f"{made / SUMMARY}: has no answer {answer}") from None
     light = (task.spec.light.illuminants[0], task.spec.light.observer)
     measured = {row.name: row.lab[0] for row in read_colours(batch, 1, light)}
-    found = rematch(task, amounts, measured)
+    result = rematch(task, amounts, measured)
     if as_json:
-        document = found.__dict__ | {"de00_before": found.de00_before.tolist(), "de00_after": found.de00_after.tolist()}
+        document = result.__dict__ | {
+            "de00_before": result.de00_before.tolist(),
+            "de00_after": result.de00_after.tolist(),
+        }
         click.echo(json.dumps(document))
         return
-    for name, share in found.batch.items():
+    for name, share in result.batch.items():
         click.echo(f"{name}: intended {amounts[name]:.5f}, in the batch {share:.5f} of the volume")
-    for name, volume in found.additions.items():
+    for name, volume in result.additions.items():
         click.echo(f"add {name}: {1000 * volume:.3g} ml per litre of dry batch")
-    click.echo(f"mean dE00 {found.de00_before.mean():.2f} becomes {found.de00_after.mean():.2f}; the additions cost "
-               f"{found.cost_per_kg_of_batch:.3f} per kg of the batch")  # fmt: skip
+    click.echo(f"mean dE00 {result.de00_before.mean():.2f} becomes {result.de00_after.mean():.2f}; the additions cost "
+               f"{result.cost_per_kg_of_batch:.3f} per kg of the batch")  # fmt: skip

@@ -172,8 +172,8 @@ def run_demo(out: Path, is_quick: bool, report: Report) -> list[Path]:
     for number, item in enumerate(items):
         seconds = time.monotonic() - start
         # before the first item is finished, cost units are seconds of a two-core machine
-        left = (total - spent) * (seconds / spent if spent > 0 else 1.0)
-        report(item, number + 1, len(items), seconds, left)
+        seconds_left = (total - spent) * (seconds / spent if spent > 0 else 1.0)
+        report(item, number + 1, len(items), seconds, seconds_left)
         item.make()
         spent += item.cost
     sheet = out / "contact-sheet.png"
@@ -245,10 +245,10 @@ def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
             parts.append(made.frames)
         folder_of_frames = path.with_name(f"{path.stem}_frames")
         folder_of_frames.mkdir(exist_ok=True)
-        whole = tuple(folder_of_frames / f"frame_{index:04d}.png" for index in range(frames))
-        for index, name in enumerate(whole):
+        frame_files = tuple(folder_of_frames / f"frame_{index:04d}.png" for index in range(frames))
+        for index, name in enumerate(frame_files):
             tile([part[index] for part in parts], spec.columns, name)
-        join(whole, path)
+        join(frame_files, path)
 
     return Item(spec.title, path, FRAME_S[is_quick] * frames, make)
 

@@ -52,15 +52,15 @@ def indices_search(text: str, limit: int) -> None:
     """List the materials whose name or database entry contains TEXT."""
     from nacre.matter.indices import library
 
-    found = library.search(text)
-    for entry in found[:limit]:
+    matches = library.search(text)
+    for entry in matches[:limit]:
         reach = "" if entry.range_nm is None else f"  {_range(entry.range_nm)}"
         click.echo(f"{entry.name:32s} {entry.title}{reach}")
-    for line in library.pairs_among([entry.name for entry in found[:limit]]):
+    for line in library.pairs_among([entry.name for entry in matches[:limit]]):
         click.echo(line)
-    if len(found) > limit:
-        common.note(f"... and {len(found) - limit} more; use --limit")
-    if not found:
+    if len(matches) > limit:
+        common.note(f"... and {len(matches) - limit} more; use --limit")
+    if not matches:
         from nacre.matter.indices.constant import scattering_hint
 
         hint = scattering_hint(text)
@@ -126,13 +126,13 @@ def cache(clear: bool, as_json: bool) -> None:
     folder = disk_cache.cache_folder()
     before = disk_cache.entries(folder) if folder else []
     removed = disk_cache.clear(folder) if clear and folder else 0
-    found = disk_cache.entries(folder) if folder else []
-    total = sum(size for _, size, _ in found)
-    materials = sum(disk_cache.is_material(path) for _, _, path in found)
+    remaining = disk_cache.entries(folder) if folder else []
+    total = sum(size for _, size, _ in remaining)
+    materials = sum(disk_cache.is_material(path) for _, _, path in remaining)
     if as_json:
         click.echo(json.dumps({
-            "folder": None if folder is None else str(folder), "entries": len(found), "materials": materials,
-            "parts": len(found) - materials, "bytes": total, "most_bytes": disk_cache.MAX_BYTES, "removed": removed,
+            "folder": None if folder is None else str(folder), "entries": len(remaining), "materials": materials,
+            "parts": len(remaining) - materials, "bytes": total, "most_bytes": disk_cache.MAX_BYTES, "removed": removed,
         }))  # fmt: skip
         return
     if folder is None:
@@ -140,7 +140,7 @@ def cache(clear: bool, as_json: bool) -> None:
         return
     removal = f"; removed: {_in_words(before)}" if clear else ""
     room = f"{total / 1e6:.1f} of at most {disk_cache.MAX_BYTES / 1e6:.0f} MB"
-    click.echo(f"{folder}: {_in_words(found)}, {room}{removal}")
+    click.echo(f"{folder}: {_in_words(remaining)}, {room}{removal}")
 
 
 def _in_words(entries: list[tuple[float, int, Path]]) -> str:
@@ -170,17 +170,17 @@ def examples(names: tuple[str, ...], folder: str | None, as_json: bool) -> None:
         written = copy_examples(list(names), Path(folder))
         common.note(f"{folder}: {len(written)} files")
         return
-    found = [e for e in shipped() if not names or any(n in e.name or n == e.family for n in names)]
+    matches = [e for e in shipped() if not names or any(n in e.name or n == e.family for n in names)]
     if as_json:
         fields = ("name", "family", "about")
-        click.echo(json.dumps([{f: getattr(e, f) for f in fields} | {"path": str(e.path)} for e in found], indent=2))
+        click.echo(json.dumps([{f: getattr(e, f) for f in fields} | {"path": str(e.path)} for e in matches], indent=2))
         return
-    width = max((len(e.name) for e in found), default=0)
+    width = max((len(e.name) for e in matches), default=0)
     columns = max(60, shutil.get_terminal_size((120, 24)).columns - width - 16)
-    for e in found:
+    for e in matches:
         about = e.about if len(e.about) <= columns else e.about[: columns - 3].rstrip() + "..."
         click.echo(f"{e.name:{width}s}  {e.family:11s}  {about}")
-    if not found:
+    if not matches:
         common.note(f"no example is called {', '.join(names)}")
 
 
@@ -224,7 +224,7 @@ SIGNS = ("positive", "negative", "positive-shifted", "negative-shifted")
 @click.option("--ignore", metavar="HEADING,...", help="Headings of columns to ignore.")
 def read(
     files: tuple[str, ...], as_json: bool, show: int, plot: str | None, output: str | None, format_id: str | None,
-    **given: Any,
+    **stated: Any,
 ) -> None:  # fmt: skip
     """Show the content of FILE: format, quantities, units, range, and assumed or omitted values."""
     from nacre.readers.measurement import ReadOptions, describe, lines, write_measurements
@@ -232,23 +232,23 @@ def read(
     for path in filter(None, (plot, output)):
         check_writable(path)
     options = ReadOptions(
-        format=format_id, pitch_um=_pitch(given.pop("pitch_um")), columns=common.words(given.pop("columns")),
-        ignore=common.words(given.pop("ignore")), **given,
+        format=format_id, pitch_um=_pitch(stated.pop("pitch_um")), columns=common.words(stated.pop("columns")),
+        ignore=common.words(stated.pop("ignore")), **stated,
     )  # fmt: skip
-    found = [measurement for file in files for measurement in _opened(file, options)]
+    measurements = [measurement for file in files for measurement in _opened(file, options)]
     if as_json:
-        click.echo(json.dumps([describe(measurement, show) for measurement in found], ensure_ascii=False))
+        click.echo(json.dumps([describe(measurement, show) for measurement in measurements], ensure_ascii=False))
     elif not output:
-        for measurement in found:
+        for measurement in measurements:
             click.echo("\n".join(lines(measurement, _title(measurement), show)))
     if output:
-        write_measurements(output, found)
+        write_measurements(output, measurements)
         common.note(output)
     if plot:
         from nacre.plot.measurements import measurement_figure
         from nacre.plot.style import save_figure
 
-        save_figure(measurement_figure(found), plot)
+        save_figure(measurement_figure(measurements), plot)
         common.note(plot)
 
 

@@ -175,8 +175,8 @@ def _summary(path: Path, stats: Mapping[str, Any]) -> str:
 def demo(out: str, quick: bool) -> None:
     """Make pictures, figures and animations of every example recipe, and a contact sheet."""
 
-    def show(item: Any, number: int, total: int, seconds: float, left: float) -> None:
-        common.note(f"[{number:2d}/{total}] {_clock(seconds)} spent, about {_clock(left)} left: {item.title}")
+    def show(item: Any, number: int, total: int, seconds: float, rest: float) -> None:
+        common.note(f"[{number:2d}/{total}] {_clock(seconds)} spent, about {_clock(rest)} left: {item.title}")
 
     from nacre.cli.gallery import run_demo
 

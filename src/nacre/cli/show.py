@@ -93,18 +93,18 @@ def orders(
         raise NacreError(f'--angles-deg = "{angles_deg}" must lie in [0, 90)')
     material = common.load_material(recipe, changes)
     with common.solving_on(workers, material):
-        found = api.orders(material, angles, azimuth_deg, common.wavelengths(wavelengths_nm))
+        solved = api.orders(material, angles, azimuth_deg, common.wavelengths(wavelengths_nm))
     document = {
-        "wavelengths_nm": found.wavelengths_nm.tolist(),
+        "wavelengths_nm": solved.wavelengths_nm.tolist(),
         "angles_deg": angles.tolist(),
         "azimuth_deg": azimuth_deg,
-        "orders": found.numbers.tolist(),
-        "reflected": _by_polarisation(found.reflected),
-        "transmitted": _by_polarisation(found.transmitted),
-        "estimated_error": found.error.tolist(),
+        "orders": solved.numbers.tolist(),
+        "reflected": _by_polarisation(solved.reflected),
+        "transmitted": _by_polarisation(solved.transmitted),
+        "estimated_error": solved.error.tolist(),
         "provenance": recipe_provenance(material),
     }
-    text_csv = _orders_csv(found, angles)
+    text_csv = _orders_csv(solved, angles)
     common.answer(document, text_csv, output, as_json)
 
 
@@ -116,18 +116,18 @@ def _by_polarisation(efficiency: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _orders_csv(found: Any, angles_deg: np.ndarray) -> str:
-    azimuth = np.degrees(found.azimuth_rad)
+def _orders_csv(solved: Any, angles_deg: np.ndarray) -> str:
+    azimuth = np.degrees(solved.azimuth_rad)
     names = ["wavelength_nm,angle_deg,m,n,reflected_s,reflected_p,transmitted_s,transmitted_p"]
     lines = [",".join([*names, *(["azimuth_deg"] if azimuth else [])])]
     for a, angle in enumerate(angles_deg):
-        for w, wavelength in enumerate(found.wavelengths_nm):
-            for o, (m, n) in enumerate(found.numbers):
-                values = [*found.reflected[a, w, o], *found.transmitted[a, w, o]]
+        for w, wavelength in enumerate(solved.wavelengths_nm):
+            for o, (m, n) in enumerate(solved.numbers):
+                values = [*solved.reflected[a, w, o], *solved.transmitted[a, w, o]]
                 if not np.all(np.isnan(values)):
-                    shown = ["" if np.isnan(v) else f"{v:.9g}" for v in values]
-                    shown += [f"{azimuth:.9g}"] if azimuth else []
-                    lines.append(",".join([f"{wavelength:.6g}", f"{angle:.6g}", str(m), str(n), *shown]))
+                    cells = ["" if np.isnan(v) else f"{v:.9g}" for v in values]
+                    cells += [f"{azimuth:.9g}"] if azimuth else []
+                    lines.append(",".join([f"{wavelength:.6g}", f"{angle:.6g}", str(m), str(n), *cells]))
     return "\n".join(lines) + "\n"
 
 

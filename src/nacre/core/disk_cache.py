@@ -62,12 +62,12 @@ def _private_folder() -> Path | None:
 
 def entries(folder: Path) -> list[tuple[float, int, Path]]:
     """Return a cache's entries, least recently used first: time of use, bytes, path."""
-    found = []
+    stored = []
     for path in (p for suffix in (MATERIAL, ARRAYS) for p in folder.glob(f"*{suffix}")):
         with contextlib.suppress(OSError):  # another process may have removed it
             status = path.stat()
-            found.append((status.st_mtime, status.st_size, path))
-    return sorted(found)
+            stored.append((status.st_mtime, status.st_size, path))
+    return sorted(stored)
 
 
 def is_material(path: Path) -> bool:
@@ -105,9 +105,9 @@ def _read(path: Path, load: Callable[[Path], Value]) -> Value | None:
     if not path.is_file():  # a pipe would block
         return None
     with contextlib.suppress(Exception):  # damage raises many types of errors; all mean that it is solved again
-        found = load(path)
+        content = load(path)
         os.utime(path)
-        return found
+        return content
     return None
 
 
@@ -122,9 +122,9 @@ def cached(
     if folder is None:
         return solve()
     path = folder / f"{key}{MATERIAL}"
-    found = _read(path, load)
-    if found is not None:
-        return found
+    stored = _read(path, load)
+    if stored is not None:
+        return stored
     start = time.perf_counter()
     value = solve()
     if time.perf_counter() - start > MIN_SOLVE_S:

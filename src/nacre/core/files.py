@@ -93,8 +93,8 @@ def remove_leftovers(folder: Path) -> None:
     host = hashlib.sha256(_host().encode()).hexdigest()[:8]
     with contextlib.suppress(OSError):
         for entry in os.scandir(folder):
-            found = _TEMPORARY.fullmatch(entry.name) if entry.name.startswith(".") else None
-            if found and found[1] == host and Process(_host(), int(found[2]), int(found[3])).is_dead:
+            match = _TEMPORARY.fullmatch(entry.name) if entry.name.startswith(".") else None
+            if match and match[1] == host and Process(_host(), int(match[2]), int(match[3])).is_dead:
                 if entry.is_dir(follow_symlinks=False):
                     shutil.rmtree(entry.path, ignore_errors=True)
                 else:
@@ -168,8 +168,8 @@ def reraise_as_oserror() -> Iterator[None]:
         yield
     except RuntimeError as error:
         # "Failed to write ... "/where/.x.exr". No space left on device."
-        said = [part.strip(" .") for part in str(error).split('"') if part.strip(" .")]
-        raise OSError(errno.EIO, said[-1] if said else "the writer failed") from error
+        parts = [part.strip(" .") for part in str(error).split('"') if part.strip(" .")]
+        raise OSError(errno.EIO, parts[-1] if parts else "the writer failed") from error
 
 
 def _open_with_reader(path: str, flags: int) -> int:
@@ -207,18 +207,18 @@ def named(path: str | Path) -> Path:
         NacreError: it is not a path, contains a NUL character or is too long.
     """
     try:
-        given = os.fspath(path)
-        if not isinstance(given, str):
+        name = os.fspath(path)
+        if not isinstance(name, str):
             raise TypeError
     except TypeError:
         raise NacreError(f"{path!r:.80} is not a path; give the name of a file") from None
     try:
-        os.path.lexists(_nameable(given)) or os.stat(given)
+        os.path.lexists(_nameable(name)) or os.stat(name)
     except (FileNotFoundError, NotADirectoryError):
         pass  # reported on reading or writing
     except OSError as error:
-        raise NacreError(f"{given!r:.80}: cannot be the name of a file: {error.strerror}") from None
-    return Path(given)
+        raise NacreError(f"{name!r:.80}: cannot be the name of a file: {error.strerror}") from None
+    return Path(name)
 
 
 def short_name(path: str | Path) -> str:
@@ -226,11 +226,11 @@ def short_name(path: str | Path) -> str:
 
     Example: "soap.toml" is soap; the second solution of a design, "sign/2" or "sign/2/recipe.toml", is sign-2.
     """
-    whole = Path(os.path.abspath(path))
-    is_of_folder = whole.name == DESIGN_RECIPE
-    folder = whole.parent if is_of_folder else whole
-    if not (is_of_folder or os.path.isdir(whole)) or not folder.name:
-        return whole.stem
+    absolute = Path(os.path.abspath(path))
+    is_of_folder = absolute.name == DESIGN_RECIPE
+    folder = absolute.parent if is_of_folder else absolute
+    if not (is_of_folder or os.path.isdir(absolute)) or not folder.name:
+        return absolute.stem
     return f"{folder.parent.name}-{folder.name}".lstrip("-") if folder.name.isdigit() else folder.name
 
 
@@ -403,8 +403,8 @@ def why_unreadable(error: OSError) -> str:
         return "does not exist"
     if isinstance(error, IsADirectoryError):
         return "is a folder, not a file"
-    said = error.strerror or str(error)
-    return said if said.startswith(("is a ", "holds ")) else f"cannot be read: {said}"
+    reason = error.strerror or str(error)
+    return reason if reason.startswith(("is a ", "holds ")) else f"cannot be read: {reason}"
 
 
 def _nameable(path: str | Path) -> str:

@@ -97,10 +97,10 @@ def may_be_stored(folder: Path, name: str) -> bool:
 
     The file may be of another version. Numba itself is not imported.
     """
-    given = os.environ.get("NUMBA_CACHE_DIR")
+    path = os.environ.get("NUMBA_CACHE_DIR")
     home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "numba")
     return any(
-        any(place.rglob(f"{name}-*.nbi")) for place in ([Path(given)] if given else [folder / "__pycache__", home])
+        any(place.rglob(f"{name}-*.nbi")) for place in ([Path(path)] if path else [folder / "__pycache__", home])
     )
 
 
@@ -161,22 +161,22 @@ def _compiled_by_one(dispatcher: Any) -> Any:
 
     compile_, load, function = dispatcher.compile, dispatcher._cache.load_overload, dispatcher.py_func
     name = f"{function.__module__}.{function.__qualname__}.lock"
-    held = FileLock(Path(dispatcher.stats.cache_path, name), timeout=LONGEST_COMPILATION_S)
+    lock = FileLock(Path(dispatcher.stats.cache_path, name), timeout=LONGEST_COMPILATION_S)
 
     def load_or_hold(*key: Any) -> Any:
-        found = load(*key)
-        if found is None:
+        overload = load(*key)
+        if overload is None:
             with contextlib.suppress(OSError, NotImplementedError, Timeout):  # a file system without locks
-                held.acquire()
-                found = load(*key)
-        return found
+                lock.acquire()
+                overload = load(*key)
+        return overload
 
     def compile_once(signature: Any) -> Any:
         with global_compiler_lock:  # taken before the file, as nested kernels do
             try:
                 return compile_(signature)
             finally:
-                held.release()
+                lock.release()
 
     dispatcher._cache.load_overload, dispatcher.compile = load_or_hold, compile_once
     return dispatcher

@@ -106,13 +106,13 @@ def in_workers(
             return in_workers(work, items, keep)
     if not _cluster:
         return in_threads(work, items, keep=keep)
-    found: list[Any] = [None] * len(items)
+    results: list[Any] = [None] * len(items)
     for done, (number, result) in enumerate(run_jobs(_apply, work, items, _cluster[-1]), start=1):
-        found[number] = result
+        results[number] = result
         if keep is not None:
             keep(items[number], result)
         notify_progress(done, len(items))
-    return found
+    return results
 
 
 def _announcer(description: str) -> Callable[[int, int], None]:

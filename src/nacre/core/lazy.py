@@ -40,24 +40,24 @@ def entry_points(group: str, own: Collection[str]) -> dict[str, EntryPoint]:
     Raises:
         NacreError: a name is registered twice or used by nacre.
     """
-    found = _scan(group)
-    for name in found:
+    points = _scan(group)
+    for name in points:
         if name in own:
-            raise NacreError(f'entry point "{name}" of {group} ({_giver(found[name])}) has a name reserved for nacre')
-    return found
+            raise NacreError(f'entry point "{name}" of {group} ({_giver(points[name])}) has a name reserved for nacre')
+    return points
 
 
 @functools.cache
 def _scan(group: str) -> dict[str, EntryPoint]:
     from importlib.metadata import entry_points as installed
 
-    found: dict[str, EntryPoint] = {}
+    points: dict[str, EntryPoint] = {}
     for point in installed(group=group):
-        if point.name in found and found[point.name].value != point.value:
-            givers = f"{_giver(found[point.name])} and {_giver(point)}"
+        if point.name in points and points[point.name].value != point.value:
+            givers = f"{_giver(points[point.name])} and {_giver(point)}"
             raise NacreError(f'entry point "{point.name}" of {group} is registered twice: by {givers}')
-        found[point.name] = point
-    return found
+        points[point.name] = point
+    return points
 
 
 def _giver(point: EntryPoint) -> str:

@@ -63,14 +63,14 @@ def memory_limit() -> int:
 
 def _limit() -> tuple[int, str]:
     """Return the limit in bytes and its origin."""
-    given = os.environ.get(VARIABLE, "").strip()
-    if not given:
+    setting = os.environ.get(VARIABLE, "").strip()
+    if not setting:
         return int(SHARE * machine_memory()), f"a quarter of this machine's; {VARIABLE}=8GiB allows 8 GiB"
-    match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*([kmgt]i?b)?", given.lower())
+    match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*([kmgt]i?b)?", setting.lower())
     value = float(match[1]) * _UNITS[match[2] or ""] if match else 0.0
     if not LEAST <= value < 2**63:
-        raise MachineError(f'{VARIABLE} = "{given[:40]}" is not an amount of memory; write it like 4GiB or 500MB')
-    return int(value), f"{VARIABLE} = {given}"
+        raise MachineError(f'{VARIABLE} = "{setting[:40]}" is not an amount of memory; write it like 4GiB or 500MB')
+    return int(value), f"{VARIABLE} = {setting}"
 
 
 def machine_memory() -> int:
@@ -103,9 +103,9 @@ SMALL_WORK = 500_000  # layers x points, about 4 ms; below, threads do not pay o
 
 def available_jobs() -> int:
     """Return the default thread count: NUMBA_NUM_THREADS if set, else the cores available to this process."""
-    given = os.environ.get("NUMBA_NUM_THREADS", "")
-    if given.isdigit() and int(given) > 0:
-        return int(given)
+    setting = os.environ.get("NUMBA_NUM_THREADS", "")
+    if setting.isdigit() and int(setting) > 0:
+        return int(setting)
     try:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # unavailable on this system

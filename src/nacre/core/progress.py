@@ -63,8 +63,8 @@ def progress_bar(title: str, wanted: bool | ProgressCallback | None) -> Iterator
 
         def show(done: int, total: int, seconds_left: float) -> None:
             # the first pass compiles: its time does not predict the others
-            left = f"about {duration(seconds_left)} left" if 1 < done < total else ""
-            bar.update(task, total=total, completed=done, left=left)
+            remaining = f"about {duration(seconds_left)} left" if 1 < done < total else ""
+            bar.update(task, total=total, completed=done, left=remaining)
 
         yield show
 

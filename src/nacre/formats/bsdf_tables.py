@@ -372,13 +372,13 @@ def _table_error(lobe: TableLobe, table: RglBsdf) -> str:
     some = slice(None, None, max(1, len(angles) // MAX_COMPARED))
     angles, values = np.radians(angles[some]), values[some]
     wi, wo = direction(angles[:, 0], angles[:, 1]), direction(angles[:, 2], angles[:, 3])
-    found = lobe.evaluate(wi, wo)
+    interpolated = lobe.evaluate(wi, wo)
     if table.wavelengths_nm is None:
         values = np.maximum(values @ lobe.basis, 0.0)
     light = np.unique(np.round(angles[:, :2], 6), axis=0, return_inverse=True)[1].ravel()
     peak = np.zeros(light.max() + 1)
     np.maximum.at(peak, light, values.max(axis=1))
-    off = np.abs(found - values).max(axis=1) / np.maximum(peak[light], 1e-30)
+    off = np.abs(interpolated - values).max(axis=1) / np.maximum(peak[light], 1e-30)
     return (
         f"at the measured directions the table differs by {100 * np.median(off):.2g} % (median) and "
         f"{100 * np.quantile(off, 0.99):.2g} % (99 of 100) of the largest value at the same incidence"
@@ -557,8 +557,8 @@ def _projected_area(ndf: Array, ndf_u: Array, ndf_v: Array, theta: Array, phi: A
     weight = _bilinear(ndf, ndf_u, ndf_v, mu, mv) * mu * np.sin(theta_of(mu)) * 2 * np.pi**2 / (len(u) * len(v))
     area = np.empty((len(phi), len(theta)))
     for row, turn in zip(area, phi, strict=True):
-        seen = direction(theta, turn) @ m.T
-        row[:] = np.maximum(seen, 0.0, out=seen) @ weight
+        cosines = direction(theta, turn) @ m.T
+        row[:] = np.maximum(cosines, 0.0, out=cosines) @ weight
     return np.maximum(area, 1e-12)
 
 

@@ -107,8 +107,8 @@ def _refuse_unused(drawing: Drawing, to: str, options: HeightOptions) -> None:
         "--levels": is_map and to in ("gds", "oas"),
         "--seed": isinstance(drawing, Layout),
     }
-    given = (options.size_mm, options.calibration, options.levels, options.seed)
-    for (name, is_taken), value in zip(takes.items(), given, strict=True):
+    requested = (options.size_mm, options.calibration, options.levels, options.seed)
+    for (name, is_taken), value in zip(takes.items(), requested, strict=True):
         if value is not None and not is_taken:
             raise UnsupportedError(f"--to {to} takes no {name} here: it would change nothing")
 

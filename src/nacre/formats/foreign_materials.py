@@ -259,8 +259,10 @@ def _gltf_film(material: Mapping[str, Any], remarks: list[str], path: Path, docu
         thickness = 0.5 * (thinnest + thickest)
         image = green_channel(path, document, film[THICKNESS_TEXTURE])
         if image is None:
-            said = f"varies from {thinnest:g} to {thickest:g} nm, but is not in the file or beside it; {thickness:g} nm"
-            remarks.append(f"the thickness texture {said} was taken")
+            remark = (
+                f"varies from {thinnest:g} to {thickest:g} nm, but is not in the file or beside it; {thickness:g} nm"
+            )
+            remarks.append(f"the thickness texture {remark} was taken")
         else:
             not_read.remove(THICKNESS_TEXTURE)
             varied = ThicknessMap(thinnest, thickest, image)
@@ -335,12 +337,12 @@ def _followed(node: ET.Element, document: Document) -> tuple[ET.Element, dict[st
     for entry in node.findall("input"):
         attributes = dict(entry.attrib)
         if entry.get("value") is None:
-            found = document.number(entry) if entry.get("type") == "float" else None
-            text = document.text(entry) if found is None else repr(found.constant) if found.image is None else None
+            number = document.number(entry) if entry.get("type") == "float" else None
+            text = document.text(entry) if number is None else repr(number.constant) if number.image is None else None
             if text is not None:
                 attributes["value"] = text
-            elif found is not None:
-                images[str(entry.get("name"))] = found
+            elif number is not None:
+                images[str(entry.get("name"))] = number
         ET.SubElement(made, "input", attributes)
     return made, images
 
@@ -374,8 +376,8 @@ def _materialx_film(
     shares = {shader.metal: metal, shader.transmission: clear, shader.film_weight: weight}
     check_shares(path, **{key: value for key, value in shares.items() if key})
     remarks = [*remarks, *rounded(metal, clear, weight)]
-    rgb, said = _colour(inputs.get(shader.colour[0]), shader.colour[1], space)
-    remarks += said
+    rgb, colour_remarks = _colour(inputs.get(shader.colour[0]), shader.colour[1], space)
+    remarks += colour_remarks
     unit = inputs[key].get("unit", "") if key in inputs else ""
     if unit and unit not in LENGTHS_NM:
         raise NacreError(f"{path}: {key} has the unit {unit[:20]}; allowed: {', '.join(LENGTHS_NM)}")
@@ -582,10 +584,10 @@ class Document:
         Args:
             scope: the input's graph; None: the document.
         """
-        found = self._follow(entry, scope, depth)
-        if found is None:
+        source = self._follow(entry, scope, depth)
+        if source is None:
             return None
-        node, scope, depth = found
+        node, scope, depth = source
         if isinstance(node, str):
             return Number(float(node))
         if depth > DEEPEST:
@@ -607,10 +609,10 @@ class Document:
 
     def text(self, entry: ET.Element, scope: ET.Element | None = None) -> str | None:
         """Return the text of an input that a constant gives, of any type, or None."""
-        found = self._follow(entry, scope, 0)
-        if found is None:
+        source = self._follow(entry, scope, 0)
+        if source is None:
             return None
-        constant, inside, _ = found
+        constant, inside, _ = source
         if isinstance(constant, str):
             return constant
         value = next((i for i in constant.findall("input") if i.get("name") == "value"), None)

@@ -141,11 +141,11 @@ def database_unit(radii_um: tuple[float, ...], extent_um: float, path: Path) -> 
 
 def runs(levels: Levels) -> list[tuple[int, int, int, int]]:
     """Return maximal runs with equal level along y as (level, x, first y, end y)."""
-    found = []
+    runs_of_columns = []
     for x, column in enumerate(levels):
         edges = [0, *(np.flatnonzero(np.diff(column)) + 1).tolist(), len(column)]
-        found += [(int(column[a]), x, a, b) for a, b in pairwise(edges)]
-    return found
+        runs_of_columns += [(int(column[a]), x, a, b) for a, b in pairwise(edges)]
+    return runs_of_columns
 
 
 # Point patterns for fabrication: GDSII and OASIS with referenced cells, CSV, and reading them back.
@@ -302,10 +302,10 @@ def read_curve(
         NacreError: it cannot be read, a line is not a pair of numbers, or there are fewer than two pairs.
     """
     if first is not None and second is not None:
-        table, said = curve(path, (first, second))
+        table, remarks = curve(path, (first, second))
         words = None
-        for sentence in said:
-            logger.warning("%s: %s", path, sentence)
+        for remark in remarks:
+            logger.warning("%s: %s", path, remark)
     else:
         table, words = _any_pairs(path, second_unit)
     if len(table) < 2:

@@ -74,8 +74,8 @@ def measured_table(data: GonioData, name: str, law: str | None = None) -> tuple[
     remarks = [] if np.all(up) else [f"{int(np.sum(~up))} pairs of the other side were left out"]
     if np.sum(up) < MIN_PAIRS:
         raise NacreError(f"{name}: holds {int(np.sum(up))} direction pairs above the surface; at least 4 are needed")
-    values, said = checked(data.values[up], name)
-    remarks += said
+    values, more_remarks = checked(data.values[up], name)
+    remarks += more_remarks
     dphi = (phi_o - phi_i + 180.0) % 360.0 - 180.0
     points = np.round(np.stack([theta_i, theta_o, dphi, phi_i], axis=-1)[up], DIGITS)
     points[points[:, 2] == -180.0, 2] = 180.0
@@ -98,9 +98,9 @@ def measured_table(data: GonioData, name: str, law: str | None = None) -> tuple[
         remarks.append(f"{_spread_words(points, spread)}; they were averaged")
     grid = _Grid.of(points, values)
     if grid is None:
-        table, said = _scattered(points, values)
+        table, more_remarks = _scattered(points, values)
         lobe = TableLobe(data.wavelengths_nm, table, np.eye(values.shape[1]))
-        return lobe, remarks + said + [_own_error(lobe, data, up, values)]
+        return lobe, remarks + more_remarks + [_own_error(lobe, data, up, values)]
     return _on_grid(grid, data.wavelengths_nm, remarks)
 
 
@@ -122,8 +122,8 @@ def _spread_over_turns(points: Array, values: Array) -> float:
 
 def _spread_words(points: Array, spread: float) -> str:
     turns = np.unique(points[:, 3] % 360.0)
-    said = f"{len(turns)} azimuths of the light, {turns[0]:g} to {turns[-1]:g} degrees"
-    return f"{said}, differ by {100 * spread:.2g} %" if np.isfinite(spread) else f"{said}, share no directions"
+    azimuths = f"{len(turns)} azimuths of the light, {turns[0]:g} to {turns[-1]:g} degrees"
+    return f"{azimuths}, differ by {100 * spread:.2g} %" if np.isfinite(spread) else f"{azimuths}, share no directions"
 
 
 def _on_turns(
@@ -148,10 +148,10 @@ def _on_turns(
             )
     lobes = []
     for grid in grids:
-        said: list[str] = []
+        grid_remarks: list[str] = []
         if grid is not None:
-            lobes.append(_on_grid(grid, wavelengths_nm, said)[0])
-        remarks += [line for line in said if line not in remarks]
+            lobes.append(_on_grid(grid, wavelengths_nm, grid_remarks)[0])
+        remarks += [line for line in grid_remarks if line not in remarks]
     nodes, which, words = periodic_turns(turns)
     table = np.stack([lobe.values for lobe in lobes])[which]
     return replace(lobes[0], values=table, nodes_turn=nodes), [*remarks, *words]
@@ -263,10 +263,10 @@ def _on_grid(grid: _Grid, wavelengths_nm: Array, remarks: list[str]) -> tuple[Ta
         values = np.concatenate([values[:, :, -1:], values, values[:, :, :1]], axis=2)
         azimuth = np.concatenate([azimuth[-1:] - 360.0, azimuth, azimuth[:1] + 360.0])
     for name, nodes in (("incidences", grid.theta_i), ("exit angles", grid.theta_o)):
-        held = [f"below {nodes[0]:g}"] if nodes[0] > 0 else []
-        held += [f"above {nodes[-1]:g}"] if nodes[-1] < 80.0 else []
-        if held:
-            remarks.append(f"{name} {' and '.join(held)} degrees were not measured; the nearest value is held")
+        outside = [f"below {nodes[0]:g}"] if nodes[0] > 0 else []
+        outside += [f"above {nodes[-1]:g}"] if nodes[-1] < 80.0 else []
+        if outside:
+            remarks.append(f"{name} {' and '.join(outside)} degrees were not measured; the nearest value is held")
     c = (azimuth + 180.0) / 360.0 if grid.is_signed else azimuth / 180.0
     return TableLobe(
         wavelengths_nm, values, np.eye(values.shape[3]), "direction", grid.theta_i / 90.0, grid.theta_o / 90.0, c,
@@ -365,8 +365,8 @@ def with_spectra(lobe: TableLobe, measured: Measurement) -> tuple[TableLobe, lis
     """Give colour channels smooth spectra, and a value without a wavelength a constant one."""
     wavelengths = default_wavelengths()
     if any(key in measured.data for key in COLOURS.values()):
-        said = ["colour channels were given smooth spectra that have their colours under D65"]
-        return replace(lobe, wavelengths_nm=wavelengths, basis=rgb_basis(wavelengths)), said
+        remarks = ["colour channels were given smooth spectra that have their colours under D65"]
+        return replace(lobe, wavelengths_nm=wavelengths, basis=rgb_basis(wavelengths)), remarks
     if "wavelength_nm" not in measured.data:
         return replace(lobe, wavelengths_nm=wavelengths, basis=np.ones((1, len(wavelengths)))), []
     return lobe, []
@@ -568,7 +568,7 @@ def _sides(data: GonioData) -> dict[str, tuple[Array, Array, Array]]:
         raise UnsupportedError("a Speos .brdf file holds one azimuth of the light")
     incidence, turn = np.unique(theta_i), (phi_o - phi_i + 180.0) % 360.0
     azimuth = np.unique(turn)
-    found = {}
+    sides = {}
     for name, chosen in (("brdf", theta_o <= 90), ("btdf", theta_o > 90)):
         if not np.any(chosen):
             continue
@@ -580,9 +580,9 @@ def _sides(data: GonioData) -> dict[str, tuple[Array, Array, Array]]:
         values[place] = data.values[chosen]
         if np.isnan(values).any():
             raise UnsupportedError("a Speos .brdf file needs a full grid of directions")
-        found[name] = (
+        sides[name] = (
             theta,
             np.append(azimuth, azimuth[0] + 360.0),
             np.concatenate([values, values[:, :, :1]], axis=2),
         )
-    return found
+    return sides

@@ -435,12 +435,12 @@ def write_tiff16(
     def tiles() -> Iterator[Grey]:
         band = np.zeros((side, side * -(-columns // side)), dtype=np.uint16)
         source = repeated_rows(tile, rows, columns)
-        for first in range(0, rows, side):
+        for first_row in range(0, rows, side):
             band[:] = 0
-            for k in range(min(side, rows - first)):
+            for k in range(min(side, rows - first_row)):
                 band[k, :columns] = next(source)
-            for left in range(0, columns, side):
-                yield band[:, left : left + side].copy()
+            for first_column in range(0, columns, side):
+                yield band[:, first_column : first_column + side].copy()
 
     per_cm = 1e4 / pitch_um
     with (

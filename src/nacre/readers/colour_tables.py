@@ -247,7 +247,7 @@ def read_cgats(path: Path, options: ReadOptions) -> list[Measurement]:
             "quantity",
             ("reflectance",),
         )
-    found, empty = [], []
+    lists, empty = [], []
     for table in tables:
         table.kin = first
         measurement = measurement_of(path, table)
@@ -257,13 +257,13 @@ def read_cgats(path: Path, options: ReadOptions) -> list[Measurement]:
             )
             empty.append(" and ".join(spaces) or "no fields")
         else:
-            found.append(measurement)
-    if not found:
+            lists.append(measurement)
+    if not lists:
         if any("EMISS" in table.keywords.get("MEAS_TYPE", "").upper() for table in tables):
             raise NacreError(f"{path}: MEAS_TYPE states the spectrum of a light, no reflectances")
         content = ", ".join(dict.fromkeys(empty)) or "no table"
         raise NacreError(f"{path}: holds {content} only; a list of L*a*b*, XYZ or spectra is needed")
-    return found
+    return lists
 
 
 def _tables(path: Path, lines: list[str]) -> list[Table]:

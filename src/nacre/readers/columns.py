@@ -106,14 +106,14 @@ class Columns:
         Raises:
             NacreError: several columns match.
         """
-        found = self.all(*quantities)
-        if len(found) > 1:
-            names = " and ".join(f'"{column.heading}"' for column in found)
+        columns = self.all(*quantities)
+        if len(columns) > 1:
+            names = " and ".join(f'"{column.heading}"' for column in columns)
             raise NacreError(
-                f"{self.path}: {names} both hold {found[0].meaning.quantity}; name the columns, or ignore one: "
-                f'ignore = ["{found[-1].heading}"]'
+                f"{self.path}: {names} both hold {columns[0].meaning.quantity}; name the columns, or ignore one: "
+                f'ignore = ["{columns[-1].heading}"]'
             )
-        return found[0] if found else None
+        return columns[0] if columns else None
 
     def spectral_nm(self, options: ReadOptions) -> Floats | None:
         """Return the vacuum wavelengths in nm, or None if the table lacks a spectral column.
@@ -122,17 +122,17 @@ class Columns:
             AmbiguousFileError: the unit is not stated, and the numbers leave several readings.
             NacreError: implausible numbers, numbers that are not positive, or two columns that contradict each other.
         """
-        found = self.all(*SPECTRAL_QUANTITIES, "spectral")
-        if not found:
+        columns = self.all(*SPECTRAL_QUANTITIES, "spectral")
+        if not columns:
             return None
-        each = [_in_nm(self, column, options) for column in found]
-        given = parse_unit(options.unit or "")
-        if given is not None and not any(_may_have(column, given) for column in found):
-            raise contradiction(self.path, "unit", given, found[0].heading)
-        for column, values in zip(found[1:], each[1:]):
+        each = [_in_nm(self, column, options) for column in columns]
+        requested_unit = parse_unit(options.unit or "")
+        if requested_unit is not None and not any(_may_have(column, requested_unit) for column in columns):
+            raise contradiction(self.path, "unit", requested_unit, columns[0].heading)
+        for column, values in zip(columns[1:], each[1:]):
             if not np.allclose(values, each[0], rtol=SAME_WAVELENGTH, equal_nan=True):
                 raise NacreError(
-                    f'{self.path}: "{found[0].heading}" and "{column.heading}" contradict each other; ignore one: '
+                    f'{self.path}: "{columns[0].heading}" and "{column.heading}" contradict each other; ignore one: '
                     f'ignore = ["{column.heading}"]'
                 )
         return each[0]
@@ -162,16 +162,16 @@ def _in_nm(columns: Columns, column: Column, options: ReadOptions) -> Floats:
     if not finite.size:
         raise NacreError(f'{columns.path}: "{column.heading}" holds no numbers')
     quantity = column.meaning.quantity
-    given = parse_unit(options.unit) if options.unit else None
-    if options.unit and given is None:
+    requested_unit = parse_unit(options.unit) if options.unit else None
+    if options.unit and requested_unit is None:
         raise NacreError(
             f'{columns.path}: unit = "{options.unit}" is not known; allowed: nm, um, angstrom, eV, 1/cm, THz'
         )
     least, most = float(finite.min()), float(finite.max())
     if least <= 0.0:
         raise NacreError(f"{columns.path}: {column.heading} = {least:g} should be positive")
-    if given is not None and _may_have(column, given):
-        return to_nm(values, given)
+    if requested_unit is not None and _may_have(column, requested_unit):
+        return to_nm(values, requested_unit)
     if not unit:
         readings = spectral_units(finite, None if quantity == "spectral" else quantity)
         if len(readings) != 1:
@@ -191,7 +191,7 @@ def _in_nm(columns: Columns, column: Column, options: ReadOptions) -> Floats:
         columns.assumed.append(
             f"the wavelengths are in {unit}" if UNITS[unit][0] == "length" else f"the first column is in {unit}"
         )
-    likely = likely_unit(finite, unit) if given is None else None
+    likely = likely_unit(finite, unit) if requested_unit is None else None
     if likely is not None:
         nm = np.sort(to_nm(np.array([least, most]), unit))
         raise AmbiguousFileError(
@@ -333,11 +333,11 @@ def _without_headings(
             f"or state columns = [...]",
             "columns",
         )
-    said = [title for title in table.titles if mentions(title) - set(names) - {"wavelength"}]
-    if said:
+    named = [title for title in table.titles if mentions(title) - set(names) - {"wavelength"}]
+    if named:
         raise AmbiguousFileError(
-            f"{table.path}: no line names the {table.width} columns, but {said[-1]!r:.80} stands above them; name them "
-            "in a line above the numbers, or state columns = [...]",
+            f"{table.path}: no line names the {table.width} columns, but {named[-1]!r:.80} stands above them; name "
+            "them in a line above the numbers, or state columns = [...]",
             "columns",
         )
     assumed.append(f"no heading: the columns are {', '.join('wavelength' if n == 'spectral' else n for n in names)}")
@@ -395,11 +395,11 @@ def polarisations(columns: Columns) -> list[str] | None:
     if words is not None:
         numbers = [as_float(word) for word in words]
         if all(value is None for value in numbers):
-            found = [polarisation_word(word) for word in words]
-            if None in found:
-                bad = words[found.index(None)]
+            letters = [polarisation_word(word) for word in words]
+            if None in letters:
+                bad = words[letters.index(None)]
                 raise NacreError(f'{columns.path}: polarisation "{bad[:40]}" is not known; allowed: s, p, unpolarised')
-            return [str(word) for word in found]
+            return [str(word) for word in letters]
         angles = np.array([np.nan if value is None else value for value in numbers])
     else:
         column = columns.one("polariser")

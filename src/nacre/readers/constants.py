@@ -53,40 +53,40 @@ def constants(columns: Columns, options: ReadOptions, nm: Floats, name: str = ""
         NacreError: one of n and k without the other, quantities that contradict each other, or impossible numbers.
     """
     path = columns.path
-    found = {quantity: columns.one(quantity) for quantity in QUANTITIES}
-    given = {quantity: column.values for quantity, column in found.items() if column is not None}
+    column_of = {quantity: columns.one(quantity) for quantity in QUANTITIES}
+    values = {quantity: column.values for quantity, column in column_of.items() if column is not None}
     assumed = list(columns.assumed)
-    alpha = found["alpha"]
+    alpha = column_of["alpha"]
     if alpha is not None:
         if not alpha.unit:
             raise AmbiguousFileError(
                 f'{path}: "{alpha.heading}" has no unit; write "{alpha.heading} (1/cm)"', "columns"
             )
-        given["alpha"] = alpha.values * UNITS[alpha.unit][1] * nm / (4.0 * np.pi)
-    is_missing = np.isnan([nm, *given.values()]).any(axis=0)
+        values["alpha"] = alpha.values * UNITS[alpha.unit][1] * nm / (4.0 * np.pi)
+    is_missing = np.isnan([nm, *values.values()]).any(axis=0)
     left_out = [f'"{heading}" is not used' for heading in columns.unused]
     left_out += [f'"{heading}" is ignored' for heading in columns.ignored]
     if is_missing.any():
         if is_missing.all():
             raise NacreError(f"{path}: no row has numbers in all columns: n or k is missing or not finite")
         left_out.append(f"{int(is_missing.sum())} rows with missing cells")
-    negative = np.flatnonzero(given["n"] < 0.0) if "n" in given else np.empty(0, int)
+    negative = np.flatnonzero(values["n"] < 0.0) if "n" in values else np.empty(0, int)
     if negative.size:
-        line, value = columns.table.lines[int(negative[0])], given["n"][negative[0]]
+        line, value = columns.table.lines[int(negative[0])], values["n"][negative[0]]
         raise NacreError(f"{path}: line {line}: n = {value:g} should not be negative; are these eps1 and eps2?")
-    nm, given = nm[~is_missing], {quantity: values[~is_missing] for quantity, values in given.items()}
-    nm, given = sorted_by_wavelength(path, nm, given)
-    n, k = _n_and_k(path, given, columns)
-    n, k = checked(path, nm, n, k, assumed, "eps2" in given)
+    nm, values = nm[~is_missing], {quantity: column[~is_missing] for quantity, column in values.items()}
+    nm, values = sorted_by_wavelength(path, nm, values)
+    n, k = _n_and_k(path, values, columns)
+    n, k = checked(path, nm, n, k, assumed, "eps2" in values)
     data: dict[str, Floats] = {"wavelength_nm": nm, "n": n, "k": k}
-    data |= {quantity: given[quantity] for quantity in ("eps1", "eps2") if quantity in given}
+    data |= {quantity: values[quantity] for quantity in ("eps1", "eps2") if quantity in values}
     return Measurement(path, "constants", data, name, {}, tuple(assumed), tuple(left_out))
 
 
-def _n_and_k(path: Path, given: dict[str, Floats], columns: Columns) -> tuple[Floats, Floats]:
-    n, k, eps1, eps2 = (given.get(quantity) for quantity in ("n", "k", "eps1", "eps2"))
+def _n_and_k(path: Path, values: dict[str, Floats], columns: Columns) -> tuple[Floats, Floats]:
+    n, k, eps1, eps2 = (values.get(quantity) for quantity in ("n", "k", "eps1", "eps2"))
     if k is None:
-        k = given.get("alpha")
+        k = values.get("alpha")
     if eps1 is not None and eps2 is None or (eps2 is not None and eps1 is None and n is None):
         one, other = ("eps1", "eps2") if eps2 is None else ("eps2", "eps1")
         raise NacreError(
@@ -160,8 +160,8 @@ def sniff_nexus_dispersion(head: FileHead) -> float:
 
 
 def _definition(file: Any, name: str) -> bool:
-    found = hdf5.dataset(file, f"{name}/definition")
-    return found is not None and found.shape == () and bytes(found[()]) == DEFINITION
+    definition = hdf5.dataset(file, f"{name}/definition")
+    return definition is not None and definition.shape == () and bytes(definition[()]) == DEFINITION
 
 
 def read_nexus_dispersion(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -260,8 +260,8 @@ def read_rii_page(path: Path, options: ReadOptions) -> list[Measurement]:
     columns: dict[str, tuple[Floats, Floats]] = {}
     for match, after in zip(places, [*places[1:], None]):
         if match[1].startswith("formula"):
-            said = 'use it as a material: {file = "' + path.name + '"}'
-            raise NacreError(f"{path}: gives n by {match[1]} of refractiveindex.info, not as a table; {said}")
+            advice = 'use it as a material: {file = "' + path.name + '"}'
+            raise NacreError(f"{path}: gives n by {match[1]} of refractiveindex.info, not as a table; {advice}")
         rows = _rows(path, text[match.end() : after.start() if after else len(text)])
         for place, name in enumerate(match[1].split()[1], start=1):
             columns[name] = (1e3 * rows[:, 0], rows[:, place])
@@ -277,10 +277,10 @@ def read_rii_page(path: Path, options: ReadOptions) -> list[Measurement]:
 
 
 def _rows(path: Path, text: str) -> Floats:
-    found = blocks(text.partition("|")[2].splitlines(), least_rows=1)
-    if not found or found[0].ragged:
+    tables = blocks(text.partition("|")[2].splitlines(), least_rows=1)
+    if not tables or tables[0].ragged:
         raise NacreError(f"{path}: a table of its data has no rows of numbers")
-    return found[0].table
+    return tables[0].table
 
 
 # Optical constants of the SOPRA database (.MAT): `DATA1*number*abscissa*n*k*` between `POINTS*` and `EOF*`.
@@ -368,10 +368,10 @@ def _columns(path: Path) -> tuple[Floats, Floats]:
     table = load_tables(path).tables[0]
     if table.width != 2:
         raise NacreError(f"{path}: has {table.width} columns; a .spd file has wavelength and value")
-    nm, given = sorted_by_wavelength(path, table.column(0), {"value": table.column(1)})
-    if not np.isfinite(nm).all() or not np.isfinite(given["value"]).all():
+    nm, columns = sorted_by_wavelength(path, table.column(0), {"value": table.column(1)})
+    if not np.isfinite(nm).all() or not np.isfinite(columns["value"]).all():
         raise NacreError(f"{path}: holds cells without a number")
-    return nm, given["value"]
+    return nm, columns["value"]
 
 
 # Woollam material files (.mat): WVASE layers with `Begin of array`, and the short form of three lines.
@@ -418,8 +418,8 @@ def read_woollam_mat(path: Path, options: ReadOptions) -> list[Measurement]:
     stated, begin = _UNITS.search(text), _BEGIN.search(text)
     if stated and begin:
         unit, quantities = spectral_unit(stated[1]), stated[2].upper()
-        found = re.search(r"^\s*Name\s*=\s*(\S.*)$", text, re.MULTILINE)
-        name, body = found[1].strip() if found else "", text[begin.end() :]
+        name_line = re.search(r"^\s*Name\s*=\s*(\S.*)$", text, re.MULTILINE)
+        name, body = name_line[1].strip() if name_line else "", text[begin.end() :]
     else:
         lines = re.split(r"\r\n|\r|\n", text)
         if layer := _layer(lines):
@@ -432,8 +432,8 @@ def read_woollam_mat(path: Path, options: ReadOptions) -> list[Measurement]:
             raise NacreError(f"{path}: is not a material file: units and columns are not stated")
         (unit, quantities), name, body = short, lines[0].strip(), "\n".join(lines[3:])
     if unit is None or quantities not in PROGRAM_QUANTITIES:
-        said = f"{stated[1]},{stated[2]}" if stated else quantities
-        raise NacreError(f"{path}: Units = {said} is not known; allowed are nm, Angstroms, um or eV with NK or E1E2")
+        units = f"{stated[1]},{stated[2]}" if stated else quantities
+        raise NacreError(f"{path}: Units = {units} is not known; allowed are nm, Angstroms, um or eV with NK or E1E2")
     tables = tables_of(body, path).tables
     names = (_heading(unit), *PROGRAM_QUANTITIES[quantities])
     if len(tables) > 1 or tables[0].width < len(names):

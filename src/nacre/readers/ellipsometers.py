@@ -428,8 +428,8 @@ def read_spectraray(path: Path, options: ReadOptions) -> list[Measurement]:
     sizes = {size for _, size in groups}
     count = sizes.pop() if len(sizes) == 1 else 0
     if count not in (2, 16):
-        shown = ", ".join(f"{size} x {angle:g}" for angle, size in groups)
-        raise NacreError(f"{path}: columns {shown}: allowed: 2 per angle (Psi, Delta) or 16 (Mueller matrix)")
+        counts = ", ".join(f"{size} x {angle:g}" for angle, size in groups)
+        raise NacreError(f"{path}: columns {counts}: allowed: 2 per angle (Psi, Delta) or 16 (Mueller matrix)")
     assumed = ["the wavelengths are in nm"] if unnamed and options.unit is None else []
     if unnamed and count == 2:
         psi, delta = table[:, 1::2], table[:, 2::2]

@@ -267,8 +267,8 @@ def _unequal_blocks(wavelength: Array, angle: Array, time: Array | None) -> list
     angles, counts = np.unique(angle, return_counts=True)
     if len(angles) < 2 or counts.min() == counts.max() or len(np.unique(wavelength)) < 2:
         return []
-    shown = ", ".join(f"{count} at {each:g}" for each, count in zip(angles, counts))
-    return [f"the angles have different numbers of rows ({shown} degrees): the file may be incomplete"]
+    rows = ", ".join(f"{count} at {each:g}" for each, count in zip(angles, counts))
+    return [f"the angles have different numbers of rows ({rows} degrees): the file may be incomplete"]
 
 
 def same_length(path: Path, rows: Sequence[tuple[int, list[float]]]) -> Array:

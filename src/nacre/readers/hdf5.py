@@ -117,12 +117,12 @@ def dataset(file: h5py.Group, name: str) -> Any:
     """
     import h5py
 
-    found = node(file, name)
-    if not isinstance(found, h5py.Dataset):
+    stored = node(file, name)
+    if not isinstance(stored, h5py.Dataset):
         return None
-    if found.external or found.is_virtual:
+    if stored.external or stored.is_virtual:
         raise Hdf5Error(f'keeps "{name}" in another file')
-    return found
+    return stored
 
 
 def refuse_links(file: h5py.File) -> None:
@@ -136,10 +136,10 @@ def refuse_links(file: h5py.File) -> None:
     def visit(group: h5py.Group, prefix: str) -> None:
         for name in group.id:
             text = name.decode("utf-8", "replace")
-            found = node(group, text)
-            if isinstance(found, h5py.Group) and prefix.count("/") < 20:
-                visit(found, f"{prefix}{text}/")
-            elif isinstance(found, h5py.Dataset):
+            member = node(group, text)
+            if isinstance(member, h5py.Group) and prefix.count("/") < 20:
+                visit(member, f"{prefix}{text}/")
+            elif isinstance(member, h5py.Dataset):
                 dataset(group, text)
 
     visit(file, "")

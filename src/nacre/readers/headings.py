@@ -132,15 +132,17 @@ def meanings(heading: str, unit: str = "") -> tuple[Meaning, ...]:
     text = re.sub(r"^(h\w{0,2}\*?)\s?[°º]$", r"\1 (°)", text)
     if re.match(r"-\s?[^\W\d_]", text):
         return tuple(replace(meaning, is_negated=True) for meaning in meanings(text[1:].strip(), unit))
-    bare = parse_unit(text)
-    if bare in _BARE_UNITS and len(text) > 1:
-        return (Meaning(_BARE_UNITS[bare], bare),) if unit in ("", bare) else ()
-    whole = _BRACKET.sub(r" \1 ", text)
-    found = (_of_core(whole, Meaning("", unit)) if _is_function(text) else ()) or _of_bracketed(text, unit)
-    if text[:1] == "w" and any(meaning.quantity == "angular_frequency" for meaning in found):  # "w[nm]" names no time
-        spoken = "wavelength" if found[0].unit in ("nm", "um", "angstrom") else "angular_frequency"
-        found = tuple(meaning for meaning in found if meaning.quantity == spoken)
-    return _checked(found)
+    own_unit = parse_unit(text)
+    if own_unit in _BARE_UNITS and len(text) > 1:
+        return (Meaning(_BARE_UNITS[own_unit], own_unit),) if unit in ("", own_unit) else ()
+    unbracketed = _BRACKET.sub(r" \1 ", text)
+    candidates = (_of_core(unbracketed, Meaning("", unit)) if _is_function(text) else ()) or _of_bracketed(text, unit)
+    if text[:1] == "w" and any(
+        meaning.quantity == "angular_frequency" for meaning in candidates
+    ):  # "w[nm]" names no time
+        spoken = "wavelength" if candidates[0].unit in ("nm", "um", "angstrom") else "angular_frequency"
+        candidates = tuple(meaning for meaning in candidates if meaning.quantity == spoken)
+    return _checked(candidates)
 
 
 def _is_function(text: str) -> bool:
@@ -171,8 +173,10 @@ def _of_bracketed(text: str, unit: str) -> tuple[Meaning, ...]:
         if stated is None:
             return ()
         base = stated
-    found = _of_core(core, base)
-    return found if confirmed is None else tuple(meaning for meaning in found if meaning.quantity in confirmed)
+    candidates = _of_core(core, base)
+    return (
+        candidates if confirmed is None else tuple(meaning for meaning in candidates if meaning.quantity in confirmed)
+    )
 
 
 def _qualified(content: str, base: Meaning) -> Meaning | None:
@@ -244,8 +248,8 @@ def _of_core(core: str, base: Meaning) -> tuple[Meaning, ...]:
     per_cent = re.fullmatch(r"%\s*(.+)|(.+?)\s*%", core)
     if per_cent and base.unit in ("", "%"):
         core, base = (per_cent[1] or per_cent[2]).strip(" /_,"), replace(base, unit="%")
-    if found := _of_words(core, base):
-        return found
+    if candidates := _of_words(core, base):
+        return candidates
     match = _SUFFIX_UNIT.fullmatch(core) or re.fullmatch(r"(\w{3,}.*?)\s*/\s*(m)", core)
     if match:
         spelt = re.sub("per[_ ]", "1/", re.sub("per[_ ]cent", "percent", match[2].lower()))
@@ -309,9 +313,9 @@ def _peeled(core: str, base: Meaning) -> tuple[Meaning, ...]:
     if angle and core.strip() != angle[0].strip():
         rest = (core[: angle.start()] + " " + core[angle.end() :]).strip(" @,_-/")
         stated = _qualifier(angle[0].strip(" @"), base)
-        found = _of_core(re.sub(r"\b(at|bei|aoi)\s*$", "", rest).strip(), stated) if stated and rest else ()
-        if found:
-            return found
+        candidates = _of_core(re.sub(r"\b(at|bei|aoi)\s*$", "", rest).strip(), stated) if stated and rest else ()
+        if candidates:
+            return candidates
     tokens = [token for token in re.split(r"[\s_,/-]+", core) if token]
     if len(tokens) < 2 and (camel := re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+|[^\W\d_]", core)) and len(camel) > 1:
         tokens = camel if "".join(camel) == core else tokens
@@ -325,16 +329,16 @@ def _peeled(core: str, base: Meaning) -> tuple[Meaning, ...]:
         stated = _qualified_by(word, tokens, base)
         if stated is None:
             continue
-        found = _of_core(" ".join(tokens[:place] + tokens[place + 1 :]), stated)
-        if found and (stated != base or word not in ("hunter", "lab")):
-            return found
+        candidates = _of_core(" ".join(tokens[:place] + tokens[place + 1 :]), stated)
+        if candidates and (stated != base or word not in ("hunter", "lab")):
+            return candidates
     return ()
 
 
-def _checked(found: tuple[Meaning, ...]) -> tuple[Meaning, ...]:
+def _checked(candidates: tuple[Meaning, ...]) -> tuple[Meaning, ...]:
     """Drop meanings whose unit has another dimension than the quantity."""
-    kept = []
-    for meaning in found:
+    valid = []
+    for meaning in candidates:
         if meaning.quantity == "time" and meaning.polarisation == "s":
             meaning = replace(meaning, unit="s", polarisation="")
         if meaning.quantity in ("L", "a", "b", "C", "hue"):
@@ -349,14 +353,14 @@ def _checked(found: tuple[Meaning, ...]) -> tuple[Meaning, ...]:
         if unit and unit not in NUMBER_UNITS and wanted != UNITS[unit][0]:
             stated = _of_other_dimension(meaning)
             if stated is not None:
-                kept.append(stated)
+                valid.append(stated)
             continue
         if unit in NUMBER_UNITS:
             if wanted is not None and wanted != "number":
                 continue
             meaning = replace(meaning, unit="")
-        kept.append(meaning)
-    return tuple(dict.fromkeys(kept))
+        valid.append(meaning)
+    return tuple(dict.fromkeys(valid))
 
 
 def _of_other_dimension(meaning: Meaning) -> Meaning | None:
@@ -388,14 +392,14 @@ def mentions(text: str) -> set[str]:
         >>> sorted(mentions("dielectric function e1, e2 over energy (eV)"))
         ['energy', 'eps1', 'eps2']
     """
-    found: set[str] = set()
+    quantities: set[str] = set()
     for word in _WORD.findall(normal(text)):
         unit = parse_unit(word) if len(word) > 1 else None
         if unit is not None and UNITS[unit][0] in _UNIT_TELLS:
-            found.add(UNITS[unit][0])
+            quantities.add(UNITS[unit][0])
         elif len(word) > 1 or word in "ελΨΔψ":
-            found.update(name for name in _lookup(word) if name in _TELLING)
-    return found
+            quantities.update(name for name in _lookup(word) if name in _TELLING)
+    return quantities
 
 
 def stated_unit(heading: str) -> str:
@@ -490,9 +494,9 @@ def _angles(text: str) -> list[float]:
                 angle = float(np.degrees(angle)) * (1e-3 if unit == "mrad" else 1.0)
             return [angle]
     return [
-        float((found[1] or found[2]).replace(",", "."))
-        for found in _AT_ANGLE.finditer(text)
-        if _INCIDENCE.search(found[0]) or not _OTHER_ANGLE.search(text[: found.start()])
+        float((at_angle[1] or at_angle[2]).replace(",", "."))
+        for at_angle in _AT_ANGLE.finditer(text)
+        if _INCIDENCE.search(at_angle[0]) or not _OTHER_ANGLE.search(text[: at_angle.start()])
     ]
 
 
@@ -505,8 +509,8 @@ def _polarisations(text: str) -> list[str]:
     if match and ("polarisation" in stated or "polariser" in stated):
         word = polarisation_word(match[2])
         return [word] if word else []
-    found = (polarisation_word("unpolarised" if each[1] == "un" else each[1]) for each in _POLARISED.finditer(text))
-    return [word for word in found if word]
+    letters = (polarisation_word("unpolarised" if each[1] == "un" else each[1]) for each in _POLARISED.finditer(text))
+    return [word for word in letters if word]
 
 
 def light_above(titles: Sequence[str]) -> dict[str, str]:
@@ -516,14 +520,14 @@ def light_above(titles: Sequence[str]) -> dict[str, str]:
         >>> light_above(["ILLUMINANT\tD50", "Observer: 10°"])
         {'illuminant': 'D50', 'observer': '10deg'}
     """
-    found: dict[str, str] = {}
+    light: dict[str, str] = {}
     for title in titles:
         lamp, view = _LAMP.search(title), _OBSERVER.search(title)
         if lamp and (word := ILLUMINANT_WORDS.get(lamp[1].lower())):
-            found["illuminant"] = word
+            light["illuminant"] = word
         if view:
-            found["observer"] = "10deg" if (view[1] or view[2]) in ("10", "1964") else "2deg"
-    return found
+            light["observer"] = "10deg" if (view[1] or view[2]) in ("10", "1964") else "2deg"
+    return light
 
 
 def with_preamble(measurement: Measurement, above: Preamble) -> Measurement:

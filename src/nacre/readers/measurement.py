@@ -95,9 +95,9 @@ class AmbiguousFileError(NacreError):
         self.choices = choices
 
 
-def contradiction(path: Path, key: str, given: str, stated: str) -> NacreError:
+def contradiction(path: Path, key: str, requested: str, stated: str) -> NacreError:
     """Return the error for an option that contradicts the file."""
-    return NacreError(f'{path}: {key} = "{given}", but the file states "{stated}"; correct one of them')
+    return NacreError(f'{path}: {key} = "{requested}", but the file states "{stated}"; correct one of them')
 
 
 # The beginning of a file, from which its format is recognised.
@@ -112,13 +112,13 @@ def utf_16_order(data: bytes) -> str | None:
     sample = data[:4000]
     if len(sample) < 4 or b"\0" not in sample:
         return None
-    even, odd = (sample[i::2].count(0) / max(1, len(sample[i::2])) for i in (0, 1))
+    at_even, at_odd = (sample[i::2].count(0) / max(1, len(sample[i::2])) for i in (0, 1))
     text = sample.replace(b"\0", b"")
     if sum(byte < 9 or 13 < byte < 32 for byte in text) > 0.02 * len(text):
         return None
-    if odd > UTF_16_SHARE and even < 0.1 * odd:
+    if at_odd > UTF_16_SHARE and at_even < 0.1 * at_odd:
         return "utf-16-le"
-    return "utf-16-be" if even > UTF_16_SHARE and odd < 0.1 * even else None
+    return "utf-16-be" if at_even > UTF_16_SHARE and at_odd < 0.1 * at_even else None
 
 
 @dataclass(frozen=True)
@@ -207,21 +207,21 @@ def lines(measurement: Measurement, title: str, show: int = 0) -> list[str]:
     """Return a measurement's description as text lines."""
     description = describe(measurement, show)
     name = f' "{measurement.name}"' if measurement.name else ""
-    shown = [f"{measurement.path}:{name} {measurement.kind}, {description['points']} points; format: {title}"]
+    texts = [f"{measurement.path}:{name} {measurement.kind}, {description['points']} points; format: {title}"]
     for key, entry in description["quantities"].items():
         shape = "" if len(entry["shape"]) < 2 else f", {' x '.join(map(str, entry['shape']))}"
         reach = f"  {entry['min']:.6g} to {entry['max']:.6g}" if "min" in entry else ""
         unit = "" if entry["unit"] == "1" or key.endswith(f"_{entry['unit']}") else f" {entry['unit']}"
         gaps = f", {entry['missing']} missing" if entry.get("missing") else ""
-        shown.append(f"  {key}:{reach}{unit}{shape}{gaps}")
+        texts.append(f"  {key}:{reach}{unit}{shape}{gaps}")
     for key, value in measurement.metadata.items():
-        shown.append(f"  {key} = {_short(value)}")
-    shown += [f"  assumed: {text}" for text in measurement.assumed]
-    shown += [f"  left out: {text}" for text in measurement.left_out]
+        texts.append(f"  {key} = {_short(value)}")
+    texts += [f"  assumed: {text}" for text in measurement.assumed]
+    texts += [f"  left out: {text}" for text in measurement.left_out]
     if rows := description.get("rows"):
-        shown.append("  " + "  ".join(rows[0]))
-        shown += ["  " + "  ".join(_cell(value) for value in row.values()) for row in rows]
-    return shown
+        texts.append("  " + "  ".join(rows[0]))
+        texts += ["  " + "  ".join(_cell(value) for value in row.values()) for row in rows]
+    return texts
 
 
 def write_measurements(path: str | Path, measurements: Sequence[Measurement]) -> None:

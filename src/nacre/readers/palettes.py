@@ -56,10 +56,10 @@ def read_palette(path: Path, options: ReadOptions) -> list[Measurement]:
     joined = "\n".join(lines)
     name = ""
     if "<draw:color " in joined:
-        found = [_hex_entry(path, dict(_ATTRIBUTE.findall(entry))) for entry in _SOC.findall(joined)]
+        swatches = [_hex_entry(path, dict(_ATTRIBUTE.findall(entry))) for entry in _SOC.findall(joined)]
         format_id = "soc"
     elif joined.lstrip().startswith(("GIMP Palette", "JASC-PAL")):
-        found, name = _rows(path, lines)
+        swatches, name = _rows(path, lines)
         format_id = "gpl"
     else:
         lines = [line for line in lines if line.strip() and not _is_remark(line)]
@@ -69,10 +69,10 @@ def read_palette(path: Path, options: ReadOptions) -> list[Measurement]:
             raise NacreError(f'{path}: "{bad.strip()[:40]}" is not a hexadecimal colour')
         # Paint.NET writes AARRGGBB
         fields = [match.groupdict("") for match in matches if match]
-        found = [(hex_to_srgb(each["hex"][-6:]), (each["name"] or each["after"]).strip()) for each in fields]
+        swatches = [(hex_to_srgb(each["hex"][-6:]), (each["name"] or each["after"]).strip()) for each in fields]
         format_id = "hex"
-    names = [own or str(place) for place, (_, own) in enumerate(found, start=1)]
-    srgb = [rgb for rgb, _ in found]
+    names = [own or str(place) for place, (_, own) in enumerate(swatches, start=1)]
+    srgb = [rgb for rgb, _ in swatches]
     return [colours(path, names, {"srgb": srgb}, name=name, metadata={"form": format_id}, assumed=[SRGB])]
 
 
@@ -83,7 +83,7 @@ def _is_remark(line: str) -> bool:
 
 def _rows(path: Path, lines: list[str]) -> tuple[list[tuple[list[float], str]], str]:
     """Return the colours of .gpl or JASC-PAL (version, count, then rows) and the palette's name."""
-    found: list[tuple[list[float], str]] = []
+    swatches: list[tuple[list[float], str]] = []
     name, stated = "", None
     has_alpha = any(re.match(r"\s*Channels\s*:\s*RGBA\s*$", line) for line in lines[:20])  # Aseprite
     is_jasc = lines[0].strip().startswith("JASC-PAL")
@@ -100,10 +100,10 @@ def _rows(path: Path, lines: list[str]) -> tuple[list[tuple[list[float], str]], 
             raise NacreError(
                 f'{path}: line {number + 1}: "{text[:40]}" is not a colour: red, green, blue (0 to 255), name'
             )
-        found.append(([int(match[place]) / 255.0 for place in (1, 2, 3)], match[4] or ""))
-    if stated is not None and stated != len(found):
-        raise NacreError(f"{path}: states {stated} colours, and {len(found)} are there; the file is cut")
-    return found, name
+        swatches.append(([int(match[place]) / 255.0 for place in (1, 2, 3)], match[4] or ""))
+    if stated is not None and stated != len(swatches):
+        raise NacreError(f"{path}: states {stated} colours, and {len(swatches)} are there; the file is cut")
+    return swatches, name
 
 
 def _hex_entry(path: Path, attributes: dict[str, str]) -> tuple[list[float], str]:
@@ -164,7 +164,7 @@ def read_ase(path: Path, options: ReadOptions) -> list[Measurement]:
 def _ase(data: bytes) -> list[Swatch]:
     """Return the swatches of .ase: big-endian blocks of type, length, name (UTF-16), space and floats; L is 0 to 1."""
     (count,) = struct.unpack_from(">I", data, 8)
-    at, found = 12, []
+    at, swatches = 12, []
     for _ in range(count):
         kind, size = struct.unpack_from(">HI", data, at)
         body = data[at + 6 : at + 6 + size]
@@ -177,8 +177,8 @@ def _ase(data: bytes) -> list[Swatch]:
         name = body[2 : 2 + 2 * letters].decode("utf-16-be").rstrip("\0")
         space = body[2 + 2 * letters : 6 + 2 * letters]
         values = list(struct.unpack_from(f">{_ASE_COUNTS[space]}f", body, 6 + 2 * letters))
-        found.append(_swatch(name, space.decode().strip(), values))
-    return found
+        swatches.append(_swatch(name, space.decode().strip(), values))
+    return swatches
 
 
 def _swatch(name: str, space: str, values: list[float]) -> Swatch:
@@ -202,15 +202,15 @@ def _aco(data: bytes) -> list[Swatch]:
     if version != 2:
         raise ValueError("the second part is not version 2")
     at += 4
-    found = []
+    swatches = []
     for _ in range(count):
         (letters,) = struct.unpack_from(">I", data, at + 10)
         raw = data[at + 14 : at + 14 + 2 * letters]
         if len(raw) < 2 * letters:
             raise ValueError("a name ends behind the file")
-        found.append(_aco_colour(data, at, raw.decode("utf-16-be").rstrip("\0")))
+        swatches.append(_aco_colour(data, at, raw.decode("utf-16-be").rstrip("\0")))
         at += 14 + 2 * letters
-    return found
+    return swatches
 
 
 def _aco_colour(data: bytes, at: int, name: str) -> Swatch:

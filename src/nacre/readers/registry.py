@@ -93,8 +93,8 @@ def recognise(path: str | Path) -> list[tuple[float, Format]]:
     """
     head = head_of(path)
     least = 0.0 if head.is_text else POSSIBLE  # binary files need a recognised structure
-    found = [(confidence, entry) for entry in FORMATS if (confidence := _confidence(entry, head)) > least]
-    return sorted(found, key=lambda pair: -pair[0])
+    candidates = [(confidence, entry) for entry in FORMATS if (confidence := _confidence(entry, head)) > least]
+    return sorted(candidates, key=lambda pair: -pair[0])
 
 
 def _confidence(entry: Format, head: FileHead) -> float:
@@ -132,17 +132,17 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
         head_of(path)
         entry = format_named(options.format)
     else:
-        found = recognise(path)
-        if found and found[0][0] <= POSSIBLE and options.expects is None and _MARKUP.match(head_of(path).text):
-            found = []  # XML or JSON of another program is not a table
-        if not found and options.expects is not None and head_of(path).is_text:
-            found = [(0.0, format_named("table"))]  # its error names what the caller needs
-        if not found:
+        ranked = recognise(path)
+        if ranked and ranked[0][0] <= POSSIBLE and options.expects is None and _MARKUP.match(head_of(path).text):
+            ranked = []  # XML or JSON of another program is not a table
+        if not ranked and options.expects is not None and head_of(path).is_text:
+            ranked = [(0.0, format_named("table"))]  # its error names what the caller needs
+        if not ranked:
             raise NacreError(unknown_file(head_of(path), [entry.title for entry in FORMATS]))
-        if options.expects is not None and found[0][0] < CERTAIN:  # an uncertain match with another kind is ignored
-            of_kind = [pair for pair in found if pair[1].kind in (options.expects, "table")]
-            found = of_kind if of_kind and of_kind[0][0] >= 0.5 * found[0][0] else found
-        best = [entry for confidence, entry in found if confidence >= found[0][0] - 1e-9]
+        if options.expects is not None and ranked[0][0] < CERTAIN:  # an uncertain match with another kind is ignored
+            of_kind = [pair for pair in ranked if pair[1].kind in (options.expects, "table")]
+            ranked = of_kind if of_kind and of_kind[0][0] >= 0.5 * ranked[0][0] else ranked
+        best = [entry for confidence, entry in ranked if confidence >= ranked[0][0] - 1e-9]
         if len(best) > 1:
             titles = ", ".join(f"{entry.title} ({entry.id})" for entry in best)
             raise AmbiguousFileError(f"{path}: may be {titles}", "format", tuple(entry.id for entry in best))

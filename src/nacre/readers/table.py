@@ -192,15 +192,15 @@ def constants_of(path: Path, options: ReadOptions, tables: Sequence[TextTable]) 
     each = [interpret(table, OF_KIND["constants"], options, HEADERLESS["constants"]) for table in tables]
     if len(each) == 2 and (joined := _joined(each[0], each[1], options)) is not None:
         each = [joined]
-    found = []
+    materials = []
     for columns in each:
         nm = columns.spectral_nm(options)
         if nm is None:
             raise NacreError(
                 f"{path}: no column of wavelengths or energies; the columns are {columns.table.shown_headings}"
             )
-        found.append(constants(columns, options, nm, _block_name(columns.table) if len(each) > 1 else ""))
-    return found
+        materials.append(constants(columns, options, nm, _block_name(columns.table) if len(each) > 1 else ""))
+    return materials
 
 
 def _check_headerless(table: TextTable, options: ReadOptions) -> None:
@@ -234,8 +234,8 @@ def chosen_block(path: Path, chosen: str, names: Sequence[str]) -> int:
         return int(chosen) - 1
     if len(places) != 1:
         rule = "is not in the file" if not places else "stands twice; give its number"
-        shown = ", ".join(name or str(i + 1) for i, name in enumerate(names))[:200]
-        raise AmbiguousFileError(f'{path}: spectrum = "{chosen}" {rule}; allowed: {shown}', "spectrum", tuple(names))
+        choices = ", ".join(name or str(i + 1) for i, name in enumerate(names))[:200]
+        raise AmbiguousFileError(f'{path}: spectrum = "{chosen}" {rule}; allowed: {choices}', "spectrum", tuple(names))
     return places[0]
 
 
@@ -331,7 +331,7 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
     stated_word = above.polarisation if words is None and not any(key[0] for key in groups) else ""
     if stated_angle is not None or stated_word:
         columns.assumed.append(f"angle or polarisation from {' and '.join(map(repr, above.lines))}")
-    found = []
+    measurements = []
     for (of_heading, angle_of_heading, mode), members in groups.items():
         polarisation = of_heading or stated_word
         angle_deg = stated_angle if angle_of_heading is None else angle_of_heading
@@ -349,10 +349,10 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
             nm_sorted, rest = sorted_by_wavelength(table.path, nm, data)
             data = {"wavelength_nm": nm_sorted, **rest}
         name = members[0].heading if len(groups) > 1 else ""
-        found.append(
+        measurements.append(
             Measurement(table.path, "spectrum", data, name, metadata, tuple(columns.assumed), _left_out(columns))
         )
-    return found
+    return measurements
 
 
 def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
@@ -374,19 +374,19 @@ def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
     angle = columns.one("angle_of_incidence")
     if len({frozenset(data) for data in groups.values()}) != 1 or (angle is not None and set(groups) != {None}):
         raise NacreError(f"{columns.path}: the columns {columns.table.shown_headings} give no whole set for each angle")
-    found = {name: np.concatenate([data[name] for data in groups.values()]) for name in next(iter(groups.values()))}
-    found["wavelength_nm"] = np.tile(nm, len(groups))
+    joined = {name: np.concatenate([data[name] for data in groups.values()]) for name in next(iter(groups.values()))}
+    joined["wavelength_nm"] = np.tile(nm, len(groups))
     if angle is not None:
-        found["angle_of_incidence_deg"] = columns.degrees(angle, options)
+        joined["angle_of_incidence_deg"] = columns.degrees(angle, options)
     elif None in groups:
         above = read_preamble(columns.table.titles)
         columns.assumed.extend(instead_of(above, options.angle_deg))
         if above.angle_deg is not None and options.angle_deg is None:
-            found["angle_of_incidence_deg"] = np.full(len(nm), above.angle_deg)
+            joined["angle_of_incidence_deg"] = np.full(len(nm), above.angle_deg)
             columns.assumed.append(f"angle of incidence from {' and '.join(map(repr, above.lines))}")
     else:
-        found["angle_of_incidence_deg"] = np.repeat(np.array(list(groups), dtype=float), len(nm))
-    return ellipsometry(columns.path, found, options, assumed=columns.assumed, left_out=_left_out(columns))
+        joined["angle_of_incidence_deg"] = np.repeat(np.array(list(groups), dtype=float), len(nm))
+    return ellipsometry(columns.path, joined, options, assumed=columns.assumed, left_out=_left_out(columns))
 
 
 def _plain(columns: Columns, kind: Kind) -> Measurement:

@@ -202,8 +202,8 @@ class TextTable:
 
     def is_numeric(self, column: int) -> bool:
         """Whether all cells are numbers or missing, and at least one is a number."""
-        found = [number(cell, self.grouping) for cell in self.column_text(column)]
-        return all(value is not None for value in found) and any(not math.isnan(value or 0.0) for value in found)
+        values = [number(cell, self.grouping) for cell in self.column_text(column)]
+        return all(value is not None for value in values) and any(not math.isnan(value or 0.0) for value in values)
 
     def is_empty(self, column: int) -> bool:
         """Whether all cells are missing."""
@@ -271,13 +271,13 @@ class TableFile:
     left_out: tuple[str, ...] = ()
 
 
-def parse_tables(text: str, path: Path, knows: Callable[[str, str], bool]) -> TableFile:
+def parse_tables(text: str, path: Path, is_known: Callable[[str, str], bool]) -> TableFile:
     """Find the tables in a text.
 
     Args:
         text: the file's text.
         path: the file, for messages.
-        knows: whether a heading with a unit of the row below ("" without) is in the vocabulary; decides whether a
+        is_known: whether a heading with a unit of the row below ("" without) is in the vocabulary; decides whether a
             line above the numbers is a line of headings or a title.
 
     Raises:
@@ -285,7 +285,7 @@ def parse_tables(text: str, path: Path, knows: Callable[[str, str], bool]) -> Ta
     """
     raw = [line.replace("\f", " ").replace("\v", " ") for line in LINE_END.split(text)]
     delimiter = find_delimiter(raw)
-    lines = _classified(raw, delimiter, knows)
+    lines = _classified(raw, delimiter, is_known)
     above: list[_Line] = []
     rows: list[_Line] = []
     groups: list[tuple[list[_Line], list[_Line]]] = []
@@ -298,7 +298,7 @@ def parse_tables(text: str, path: Path, knows: Callable[[str, str], bool]) -> Ta
                 above, rows = [], []
             above.append(line)
         # a remark between rows does not end a block
-        elif _is_heading_remark(line, delimiter, knows, len(rows[-1].cells)):
+        elif _is_heading_remark(line, delimiter, is_known, len(rows[-1].cells)):
             groups.append((above, rows))
             above, rows = [line], []
     trailing: list[_Line] = above if not rows else []
@@ -306,7 +306,7 @@ def parse_tables(text: str, path: Path, knows: Callable[[str, str], bool]) -> Ta
         groups.append((above, rows))
     groups, left_out = _without_stray_numbers(groups)
     left_out += [_no_row(line) for line in trailing if any(_is_number(cell) for cell in line.cells[1:])]
-    tables = [_table(path, heading_lines, data, delimiter, knows) for heading_lines, data in groups]
+    tables = [_table(path, heading_lines, data, delimiter, is_known) for heading_lines, data in groups]
     return TableFile(tables, tuple(line.text.strip() for line in trailing), tuple(left_out))
 
 
@@ -321,19 +321,19 @@ def _without_stray_numbers(
     if len(groups) < 2:
         return groups, []
     largest = max(len(rows) for _, rows in groups)
-    kept: list[tuple[list[_Line], list[_Line]]] = []
+    tables: list[tuple[list[_Line], list[_Line]]] = []
     carried: list[_Line] = []
-    said: list[str] = []
+    remarks: list[str] = []
     for above, rows in groups:
         width = max(len(row.cells) for row in rows)
         is_stray = width < 2 and len(rows) <= 3 and largest >= 2 and any(len(r[0].cells) > 1 for _, r in groups)
         if is_stray:
             carried += [*above, *rows]
-            said.append(_no_row(rows[0]))
+            remarks.append(_no_row(rows[0]))
             continue
-        kept.append(([*carried, *above], rows))
+        tables.append(([*carried, *above], rows))
         carried = []
-    return (kept or groups), said
+    return (tables or groups), remarks
 
 
 def find_delimiter(lines: Sequence[str]) -> str | None:
@@ -344,14 +344,14 @@ def find_delimiter(lines: Sequence[str]) -> str | None:
         sample = sample[start : start + SAMPLE_LINES]
     best, chosen = 0.0, None
     for mark in (";", "\t", ",", None):
-        found = [(len(cells), _numeric_share(cells)) for line in sample if len(cells := split(line, mark)) > 1]
-        widths = Counter(width for width, share in found if share >= 0.5)
+        rows = [(len(cells), _numeric_share(cells)) for line in sample if len(cells := split(line, mark)) > 1]
+        widths = Counter(width for width, share in rows if share >= 0.5)
         if not widths:  # names beside a colour such as #4a90d0
             widths = Counter(len(cells) for line in sample if _has_colour(cells := split(line, mark)))
         if not widths:
             continue
         modal = widths.most_common(1)[0][0]
-        score = sum(share for width, share in found if width == modal) + 1e-6 * len(found)
+        score = sum(share for width, share in rows if width == modal) + 1e-6 * len(rows)
         if mark == "," and any(" " in cell for line in sample for cell in split(line, mark)):
             score *= 0.99  # "380,5 123,4" is two numbers with decimal commas rather than 380, 5 123 and 4
         if score > 1.0001 * best:
@@ -412,17 +412,17 @@ def _is_number(cell: str) -> bool:
     return (value is not None and not math.isnan(value)) or bool(_WITH_UNIT.fullmatch(cell) or _HEX.fullmatch(cell))
 
 
-def _classified(raw: Sequence[str], delimiter: str | None, knows: Callable[[str, str], bool]) -> list[_Line]:
+def _classified(raw: Sequence[str], delimiter: str | None, is_known: Callable[[str, str], bool]) -> list[_Line]:
     """Return the lines that are not blank, with their cells, as data, remarks or text."""
     first_is_text: bool | None = None
-    found: list[_Line] = []
+    lines: list[_Line] = []
     marked: list[_Line] = []
     for index, text in enumerate(raw, start=1):
         stripped = text.strip()
         if not stripped:
             continue
         line = _Line(index, text)
-        found.append(line)
+        lines.append(line)
         if stripped.startswith(REMARK_MARKS) and not _starts_with_value(stripped, delimiter):
             line.is_remark = True
             marked.append(line)
@@ -431,27 +431,27 @@ def _classified(raw: Sequence[str], delimiter: str | None, knows: Callable[[str,
         line.is_data = _is_data(line.cells)
         if line.is_data and first_is_text is None:
             first_is_text = not _is_number(line.cells[0])
-    _demote_key_values(found)
-    width = Counter(len(line.cells) for line in found if line.is_data).most_common(1)
+    _demote_key_values(lines)
+    width = Counter(len(line.cells) for line in lines if line.is_data).most_common(1)
     if width and width[0][0] > 2:
-        first = next(line.number for line in found if line.is_data)
-        for line in found:  # rows of several words and few numbers
+        first = next(line.number for line in lines if line.is_data)
+        for line in lines:  # rows of several words and few numbers
             if line.number > first and not line.is_data and not line.is_remark and len(line.cells) == width[0][0]:
                 line.is_data = any(_is_number(cell) for cell in line.cells)
     for line in marked:  # "#1;52;-30;28" is a row of a table whose rows begin with names
         cells = split(line.text, delimiter)
         is_name = len(cells) > 1 and not cells[0][1:2].isspace() and _is_data(cells[1:])
-        if is_name and _begins_with_names(found, first_is_text, knows):
+        if is_name and _begins_with_names(lines, first_is_text, is_known):
             line.cells, line.is_remark, line.is_data = cells, False, True
-    return found
+    return lines
 
 
-def _demote_key_values(found: Sequence[_Line]) -> None:
+def _demote_key_values(lines: Sequence[_Line]) -> None:
     """Treat lines such as "Scans: 3" as text if they surround rows that begin with numbers.
 
     A single line directly below the rows remains a row, which may be damaged.
     """
-    data = [line for line in found if line.is_data]
+    data = [line for line in lines if line.is_data]
     led = [line for line in data if _is_value(line.cells[0])]
     if led and len(led) > 0.5 * len(data):
         last = led[-1].number
@@ -468,11 +468,13 @@ def _starts_with_value(text: str, delimiter: str | None) -> bool:
     return bool(first.lower() in MISSING and first not in ("-", "--", "---")) or bool(_HEX.fullmatch(first))
 
 
-def _begins_with_names(found: Sequence[_Line], first_is_text: bool | None, knows: Callable[[str, str], bool]) -> bool:
+def _begins_with_names(
+    lines: Sequence[_Line], first_is_text: bool | None, is_known: Callable[[str, str], bool]
+) -> bool:
     if first_is_text is not None:
         return first_is_text
-    text = next((line for line in found if not line.is_remark and not line.is_data and len(line.cells) > 1), None)
-    return text is not None and all(knows(cell, "") for cell in text.cells)
+    text = next((line for line in lines if not line.is_remark and not line.is_data and len(line.cells) > 1), None)
+    return text is not None and all(is_known(cell, "") for cell in text.cells)
 
 
 def _is_data(cells: Sequence[str]) -> bool:
@@ -498,18 +500,18 @@ def _without_trailing_remark(text: str, delimiter: str | None) -> str:
     return text[:place] if is_behind_numbers else text
 
 
-def _is_heading_remark(line: _Line, delimiter: str | None, knows: Callable[[str, str], bool], width: int) -> bool:
+def _is_heading_remark(line: _Line, delimiter: str | None, is_known: Callable[[str, str], bool], width: int) -> bool:
     """Whether a remark line names the columns."""
     text = line.text.strip().lstrip("#%!;*/'").strip()
     return any(
-        len(cells) == width and sum(knows(cell, "") for cell in cells) >= min(2, width)
+        len(cells) == width and sum(is_known(cell, "") for cell in cells) >= min(2, width)
         for cells in _splits(text, delimiter)
     )
 
 
 def _splits(text: str, delimiter: str | None) -> Iterator[list[str]]:
     """Yield the cells of a heading by each delimiter, that of the rows first."""
-    seen: list[list[str]] = []
+    distinct: list[list[str]] = []
     cases: list[list[str]] = [split(text, delimiter)]
     cases += [split(text, mark) for mark in ("\t", ";", ",") if mark != delimiter]
     for blanks in (r"\t+|\s{2,}", r"[\t ]+", r"[\t ,;]+"):
@@ -519,22 +521,22 @@ def _splits(text: str, delimiter: str | None) -> Iterator[list[str]]:
             continue  # the delimiter is inside quotes
         for joined in (cells, _with_units_joined(cells)):
             plain_cells = [cell.strip().strip('"').strip() for cell in joined]
-            if plain_cells not in seen:
-                seen.append(plain_cells)
+            if plain_cells not in distinct:
+                distinct.append(plain_cells)
                 yield plain_cells
 
 
 def _with_units_joined(cells: Sequence[str]) -> list[str]:
     """Join a unit in brackets to its word, and the words of "Photon energy [eV]" that blanks split."""
-    whole: list[str] = []
+    joined: list[str] = []
     for cell in cells:
-        last = whole[-1] if whole else ""
+        last = joined[-1] if joined else ""
         is_open = last.count("(") + last.count("[") > last.count(")") + last.count("]")
-        if whole and cell and (is_open or cell[:1] in "([/" or whole[-1].endswith("/")):
-            whole[-1] += f", {cell}" if is_open else f" {cell}"
+        if joined and cell and (is_open or cell[:1] in "([/" or joined[-1].endswith("/")):
+            joined[-1] += f", {cell}" if is_open else f" {cell}"
         else:
-            whole.append(cell)
-    return whole
+            joined.append(cell)
+    return joined
 
 
 def _is_unit_row(cells: Sequence[str]) -> bool:
@@ -567,7 +569,7 @@ def unit_of(cell: str) -> str:
 
 
 def _table(
-    path: Path, above: list[_Line], data: list[_Line], delimiter: str | None, knows: Callable[[str, str], bool]
+    path: Path, above: list[_Line], data: list[_Line], delimiter: str | None, is_known: Callable[[str, str], bool]
 ) -> TextTable:
     if all(line.cells[:1] == [""] for line in data):  # rows that begin with a delimiter
         for line in data:
@@ -575,7 +577,7 @@ def _table(
     width = max(len(line.cells) for line in data)
     while len(data) > 2 and width > 2 and len(data[0].cells) == 1 and (delimiter or " ") not in data[0].text.strip():
         above, data = [*above, data[0]], data[1:]  # a number of the preamble, such as a count
-    headings, units, heading_line, used = _find_headings(above, width, delimiter, knows)
+    headings, units, heading_line, used = _find_headings(above, width, delimiter, is_known)
     if headings and len(headings) < width:
         extra = next(line for line in data if len(line.cells) > len(headings))
         raise NacreError(
@@ -583,10 +585,10 @@ def _table(
             f"(line {heading_line}: {', '.join(headings)[:100]})"
         )
     if not headings:
-        odd = next((line for line in data if len(line.cells) != width), None)
-        if odd is not None:
+        uneven = next((line for line in data if len(line.cells) != width), None)
+        if uneven is not None:
             raise NacreError(
-                f"{path}: line {odd.number} has {len(odd.cells)} cells and line "
+                f"{path}: line {uneven.number} has {len(uneven.cells)} cells and line "
                 f"{next(line.number for line in data if len(line.cells) == width)} has {width}; no heading names them"
             )
     width = max(width, len(headings))
@@ -620,9 +622,9 @@ def _take_units_of_cells(rows: list[list[str]], units: list[str]) -> None:
         matches = [_WITH_UNIT.fullmatch(cell) for cell in filled]
         if not all(matches):
             continue
-        found = {parse_unit(match[2]) for match in matches if match}
-        if len(found) == 1 and not units[column]:
-            units[column] = found.pop() or ""
+        units_of_cells = {parse_unit(match[2]) for match in matches if match}
+        if len(units_of_cells) == 1 and not units[column]:
+            units[column] = units_of_cells.pop() or ""
             for row in rows:
                 match = _WITH_UNIT.fullmatch(row[column])
                 row[column] = match[1] if match else row[column]
@@ -669,7 +671,7 @@ def _check_split_fractions(path: Path, rows: list[list[str]], lines: list[int]) 
 
 
 def _find_headings(
-    above: list[_Line], width: int, delimiter: str | None, knows: Callable[[str, str], bool]
+    above: list[_Line], width: int, delimiter: str | None, is_known: Callable[[str, str], bool]
 ) -> tuple[list[str], list[str], int, set[int]]:
     """Return headings, units, the line of the headings, and the lines used.
 
@@ -690,8 +692,8 @@ def _find_headings(
         if unit_cells and not units and len(unit_cells) <= width + 1 and not _names_columns(unit_cells, above, line):
             units, used = [unit_of(cell) for cell in unit_cells], {line.number}
             continue
-        cells = _heading_cells(text, delimiter, width, knows, units, is_remark=line.is_remark)
-        if cells is not None and is_apart and not all(knows(cell, "") for cell in cells):
+        cells = _heading_cells(text, delimiter, width, is_known, units, is_remark=line.is_remark)
+        if cells is not None and is_apart and not all(is_known(cell, "") for cell in cells):
             break  # "Number of Zones" above its number
         is_apart = is_apart or line.is_data
         if cells is not None:
@@ -716,7 +718,7 @@ def _heading_cells(
     text: str,
     delimiter: str | None,
     width: int,
-    knows: Callable[[str, str], bool],
+    is_known: Callable[[str, str], bool],
     units: list[str],
     *,
     is_remark: bool,
@@ -729,7 +731,7 @@ def _heading_cells(
             continue
         if any(_without_brackets(c) != c and parse_unit(_without_brackets(c)) is not None for c in cells):
             continue  # "(nm)" apart from its word
-        known = sum(knows(c, units[i] if i < len(units) else "") for i, c in enumerate(cells) if c)
+        known = sum(is_known(c, units[i] if i < len(units) else "") for i, c in enumerate(cells) if c)
         fits = len(cells) == width
         if known < len(cells) and cells[0][-1:] in (":", "="):
             continue  # "Date: 01.02.2024"

@@ -153,10 +153,10 @@ def embedding_index(file: h5py.File, count: int) -> Array:
     """
 
     def number(name: str) -> ComplexArray | None:
-        found = dataset(file, f"embedding/{name}")
-        if found is None:
+        stored = dataset(file, f"embedding/{name}")
+        if stored is None:
             return None
-        return np.asarray(np.broadcast_to(complex_of(found[()]).ravel(), (count,)))
+        return np.asarray(np.broadcast_to(complex_of(stored[()]).ravel(), (count,)))
 
     for name, plain in (("relative_permeability", 1.0), ("chirality", 0.0), ("chirality_parameter", 0.0)):
         value = number(name)

@@ -35,8 +35,8 @@ def normal(text: str) -> str:
         'cm-1 μm'
     """
     text = unicodedata.normalize("NFKC", text)
-    for given, taken in (("\u2212", "-"), ("\u2013", "-"), ("\u2010", "-"), ("\u2011", "-"), ("\u22c5", "·")):
-        text = text.replace(given, taken)
+    for variant, standard in (("\u2212", "-"), ("\u2013", "-"), ("\u2010", "-"), ("\u2011", "-"), ("\u22c5", "·")):
+        text = text.replace(variant, standard)
     return " ".join(text.replace("\ufeff", "").replace("\u200b", "").split())
 
 
@@ -163,11 +163,11 @@ def in_range(values: Floats, units: Iterable[str]) -> str:
         '300-6000 nm (um) or 206.6-4133 nm (eV)'
     """
     low, high = float(np.min(values)), float(np.max(values))
-    said = []
+    readings = []
     for unit in units:
         ends = sorted(to_nm(np.array([low, high]), unit))
-        said.append(f"{ends[0]:.4g}-{ends[1]:.4g} nm ({unit})")
-    return " or ".join(said)
+        readings.append(f"{ends[0]:.4g}-{ends[1]:.4g} nm ({unit})")
+    return " or ".join(readings)
 
 
 SHORTEST_NM, SOFT_X_RAY_NM = 10.0, 100.0  # optics of films begins in the extreme ultraviolet

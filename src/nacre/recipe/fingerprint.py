@@ -72,17 +72,17 @@ def file_stamp(path: str | Path | None) -> tuple[tuple[str, int, int], ...]:
 
     Faster than `file_digest`, for caches within one process.
     """
-    found: dict[Path, tuple[str, int, int]] = {}
+    stamps: dict[Path, tuple[str, int, int]] = {}
     todo = [] if path is None else [Path(path)]
     while todo:
         file = todo.pop()
         with contextlib.suppress(OSError, ValueError):  # see `file_digest`
-            if real(file) in found or not file.is_file():
+            if real(file) in stamps or not file.is_file():
                 continue
             status = file.stat()
-            found[real(file)] = (str(real(file)), status.st_mtime_ns, status.st_size)
+            stamps[real(file)] = (str(real(file)), status.st_mtime_ns, status.st_size)
             todo += named_files(file)
-    return tuple(found[file] for file in sorted(found))
+    return tuple(stamps[file] for file in sorted(stamps))
 
 
 NAMING_SUFFIXES = (".xml", ".gltf", ".glb")
@@ -102,8 +102,8 @@ def named_files(path: Path) -> list[Path]:
     if path.suffix.lower() not in NAMING_SUFFIXES or path.stat().st_size > MAX_NAMING_BYTES:
         return []
     here = real(path)
-    found = _of_scene(here) if path.suffix.lower() == ".xml" else _of_gltf(here)
-    return sorted(found - {here})
+    files = _of_scene(here) if path.suffix.lower() == ".xml" else _of_gltf(here)
+    return sorted(files - {here})
 
 
 def _of_gltf(path: Path) -> set[Path]:
@@ -143,11 +143,11 @@ def _of_scene(path: Path) -> set[Path]:
         for node in root.iter("include"):
             name = _substituted(node.get("filename", ""), parameters)
             todo += [real(folder / name) for folder in folders if name]
-    found = _joined(folders, names)
-    for recipe in [file for file in found if file.suffix.lower() == ".toml" and file.is_file()]:
+    files = _joined(folders, names)
+    for recipe in [file for file in files if file.suffix.lower() == ".toml" and file.is_file()]:
         with contextlib.suppress(OSError, ValueError, RecursionError):  # no valid recipe
-            found |= _joined({recipe.parent}, set(_strings(tomllib.loads(recipe.read_text("utf-8")))))
-    return found
+            files |= _joined({recipe.parent}, set(_strings(tomllib.loads(recipe.read_text("utf-8")))))
+    return files
 
 
 def _substituted(text: str, parameters: dict[str, str]) -> str:

@@ -110,11 +110,11 @@ def tables_below(
 
 def shared_tables(model: type[RecipeModel]) -> list[type[RecipeModel]]:
     """Return the nested tables that have a noun, each once."""
-    found: dict[type[RecipeModel], None] = {}
+    shared: dict[type[RecipeModel], None] = {}
     for _, table in tables_below(model):
         for key in keys_of(table):
-            found |= dict.fromkeys(inner for inner in key.tables if inner.noun)
-    return list(found)
+            shared |= dict.fromkeys(inner for inner in key.tables if inner.noun)
+    return list(shared)
 
 
 def find_key(roots: Sequence[type[RecipeModel]], path: str, source: str) -> tuple[str, Key]:
@@ -129,25 +129,25 @@ def find_key(roots: Sequence[type[RecipeModel]], path: str, source: str) -> tupl
         RecipeError: there is no such key; with a suggestion.
     """
     models: Sequence[type[RecipeModel]] = roots
-    prefix, found = "", None
+    prefix, key_found = "", None
     for word in re.sub(r"\[\d*\]", "", path).split("."):
         # the most common alternative, the first table, comes last here
         keys = {key.name: key for model in reversed(models) for key in keys_of(model)}
-        found = next((keys[way] for way in spellings(word) if way in keys), None)
-        if found is None:
+        key_found = next((keys[way] for way in spellings(word) if way in keys), None)
+        if key_found is None:
             raise RecipeError(_unknown(word, keys, prefix, roots, source))
-        models = found.tables
-        prefix = f"{prefix}.{found.name}".lstrip(".") + ("[]" if found.is_list else "")
-    assert found is not None  # a split text has at least one word
-    return prefix.removesuffix("[]"), found
+        models = key_found.tables
+        prefix = f"{prefix}.{key_found.name}".lstrip(".") + ("[]" if key_found.is_list else "")
+    assert key_found is not None  # a split text has at least one word
+    return prefix.removesuffix("[]"), key_found
 
 
 def as_written(value: Any) -> Any:
     """Return a default as it is written in a recipe: a model as a table with its set keys, or as its short form."""
     if isinstance(value, pydantic.BaseModel):
-        given = {key: as_written(getattr(value, key)) for key in value.model_fields_set}
-        is_bare = list(given) in (["name"], ["n"]) and isinstance(value, RecipeModel) and value.shorthands
-        return next(iter(given.values())) if is_bare else (given or None)
+        set_keys = {key: as_written(getattr(value, key)) for key in value.model_fields_set}
+        is_bare = list(set_keys) in (["name"], ["n"]) and isinstance(value, RecipeModel) and value.shorthands
+        return next(iter(set_keys.values())) if is_bare else (set_keys or None)
     if isinstance(value, Mapping):
         return dict(value) or None
     if isinstance(value, tuple | list):
@@ -242,8 +242,8 @@ def _unknown(word: str, keys: Mapping[str, Key], prefix: str, roots: Sequence[ty
     if not hint and len(word) >= SHORTEST_WORD:
         # a key's meaning may contain the word; else another table may have the key
         stem = word.lower().rstrip("s")
-        said = [name for name, key in keys.items() if stem in key.meaning.lower() or stem in name]
-        hint = f' Did you mean "{said[0]}"?' if said else ""
+        candidates = [name for name, key in keys.items() if stem in key.meaning.lower() or stem in name]
+        hint = f' Did you mean "{candidates[0]}"?' if candidates else ""
     if not hint:
         for place, table in (pair for root in roots for pair in tables_below(root)):
             if word in table.model_fields:
@@ -314,15 +314,15 @@ def _extras(metadata: Sequence[Any]) -> Iterator[Mapping[str, Any]]:
 
 
 def _limits(metadata: Sequence[Any]) -> str:
-    found: dict[str, float] = {}
+    bounds: dict[str, float] = {}
     for item in _plain(metadata):
-        found |= {sign: getattr(item, sign) for sign in LIMITS if getattr(item, sign, None) is not None}
+        bounds |= {sign: getattr(item, sign) for sign in LIMITS if getattr(item, sign, None) is not None}
     for extra in _extras(metadata):
-        found |= {sign: extra[word] for sign, word in SCHEMA_LIMITS.items() if word in extra}
-    if set(found) == {"ge", "le"}:
-        return f" from {_short(found['ge'])} to {_short(found['le'])}"
-    said = " and ".join(f"{word} {_short(found[sign])}" for sign, word in LIMITS.items() if sign in found)
-    return f" {said}" if said else ""
+        bounds |= {sign: extra[word] for sign, word in SCHEMA_LIMITS.items() if word in extra}
+    if set(bounds) == {"ge", "le"}:
+        return f" from {_short(bounds['ge'])} to {_short(bounds['le'])}"
+    limits = " and ".join(f"{word} {_short(bounds[sign])}" for sign, word in LIMITS.items() if sign in bounds)
+    return f" {limits}" if limits else ""
 
 
 def _short(number: float) -> str:
@@ -361,8 +361,8 @@ def json_schema(
     used = _references(root)
     while more := {name for known in used for name in _references(definitions[known])} - used:
         used |= more
-    kept = {name: _without_siblings(table) for name, table in definitions.items() if name in used}
-    return {"$schema": DRAFT, **_without_siblings(root), **({"definitions": kept} if kept else {})}
+    shared = {name: _without_siblings(table) for name, table in definitions.items() if name in used}
+    return {"$schema": DRAFT, **_without_siblings(root), **({"definitions": shared} if shared else {})}
 
 
 def one_of_files(schemas: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -536,9 +536,9 @@ def _tables(schema: Any) -> list[dict[str, Any]]:
 
 
 def _or(value: Mapping[str, Any], texture: Mapping[str, Any]) -> dict[str, Any]:
-    said = {key: inner for key, inner in value.items() if key in ("description", "default", "examples")}
-    plain = {key: inner for key, inner in value.items() if key not in said}
-    return {**said, "anyOf": [plain, dict(texture)]}
+    described = {key: inner for key, inner in value.items() if key in ("description", "default", "examples")}
+    plain = {key: inner for key, inner in value.items() if key not in described}
+    return {**described, "anyOf": [plain, dict(texture)]}
 
 
 def _references(schema: Any) -> set[str]:
@@ -564,11 +564,11 @@ def _without_siblings(schema: Any) -> Any:
 
 def _with_noun(models: Sequence[type[pydantic.BaseModel]]) -> set[type[RecipeModel]]:
     """Return the tables with a noun at any depth below some models."""
-    found: set[type[RecipeModel]] = set()
+    tables: set[type[RecipeModel]] = set()
     for model in models:
         if not issubclass(model, RecipeModel):
             continue
-        found |= set(shared_tables(model))
+        tables |= set(shared_tables(model))
         for _, table in tables_below(model):
-            found |= {inner for shared in shared_tables(table) for inner in [shared, *shared_tables(shared)]}
-    return found
+            tables |= {inner for shared in shared_tables(table) for inner in [shared, *shared_tables(shared)]}
+    return tables

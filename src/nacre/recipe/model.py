@@ -94,8 +94,8 @@ def renamed_hint(key: str, allowed: Iterable[str]) -> str:
         ' It is now called "tolerance".'
     """
     known = set(allowed)
-    found = next((name for name in RENAMED.get(key, ()) if name in known), None)
-    return f' It is now called "{found}".' if found else ""
+    new_name = next((name for name in RENAMED.get(key, ()) if name in known), None)
+    return f' It is now called "{new_name}".' if new_name else ""
 
 
 @dataclass
@@ -254,9 +254,9 @@ def _refuse_text(schema: Any) -> None:
         if kind in ("float", "bool"):
             schema["strict"] = True
         elif kind == "int":
-            whole = dict(schema)
+            integer = dict(schema)
             schema.clear()
-            schema.update(core_schema.no_info_before_validator_function(_whole, whole))
+            schema.update(core_schema.no_info_before_validator_function(_whole, integer))
         elif kind == "function-before" and schema["function"]["function"] is _whole:
             return  # a nested table that is strict already
         else:
@@ -329,12 +329,12 @@ class RecipeModel(pydantic.BaseModel):
         if not isinstance(data, Mapping):
             return data
         ways = _length_spellings(cls)
-        given = [way for way in ways if way in data]
-        if not given:
+        present = [way for way in ways if way in data]
+        if not present:
             return data
         converted = dict(data)
         first: dict[str, str] = {}
-        for way in given:
+        for way in present:
             name = ways[way]
             if name in first:
                 raise ValueError(f"{first[name]} and {way} give the same length twice; keep one")
@@ -484,17 +484,17 @@ def _first_line(
 
 def _number_as_text(problem: Any, data: Mapping[str, Any]) -> str | None:
     """Return the message for a number given as text, or None for other problems."""
-    given = problem["input"]
+    value = problem["input"]
     wants_number = problem["type"] in ("float_type", "int_type") or " is not a " in problem["msg"]
-    if not wants_number or not isinstance(given, str):
+    if not wants_number or not isinstance(value, str):
         return None
     key = _key(_own_spelling(data, problem["loc"]))
     word = re.sub(r"(\[\d+\])+$", "", key)
-    number = written_as_number(word.rpartition(".")[2], given)
+    number = written_as_number(word.rpartition(".")[2], value)
     if number is None:
         return None
     write = number if word == key else f"{number.rpartition(' ')[2]} in its place"
-    return f"{key} = {show_value(given)} is not allowed; write {write}: no quotes, the unit is in the key"
+    return f"{key} = {show_value(value)} is not allowed; write {write}: no quotes, the unit is in the key"
 
 
 def _key(location: tuple[int | str, ...], ends_in_a_key: bool = False) -> str:
@@ -514,7 +514,9 @@ def _key(location: tuple[int | str, ...], ends_in_a_key: bool = False) -> str:
     return key
 
 
-def _known_keys(model: type[pydantic.BaseModel], prefix: str = "", seen: tuple[type, ...] = ()) -> dict[str, list[str]]:
+def _known_keys(
+    model: type[pydantic.BaseModel], prefix: str = "", holders: tuple[type, ...] = ()
+) -> dict[str, list[str]]:
     """Return all keys of a model and its nested models, each with its possible places."""
     places: dict[str, list[str]] = {}
     for name, info in model.model_fields.items():
@@ -523,20 +525,20 @@ def _known_keys(model: type[pydantic.BaseModel], prefix: str = "", seen: tuple[t
     for name, info in model.model_fields.items():
         is_list = any(getattr(part, "__origin__", None) in (list, tuple) for part in _parts(info.annotation))
         for inner in _models_in(info.annotation):
-            if inner not in seen and inner is not model:
+            if inner not in holders and inner is not model:
                 below = f"{prefix}{info.alias or name}{'[]' if is_list else ''}."
-                for word, found in _known_keys(inner, below, (*seen, model)).items():
-                    places.setdefault(word, []).extend(found)
+                for word, paths in _known_keys(inner, below, (*holders, model)).items():
+                    places.setdefault(word, []).extend(paths)
     return places
 
 
-def _tables_in(model: type[pydantic.BaseModel], seen: tuple[type, ...] = ()) -> Iterator[type[pydantic.BaseModel]]:
+def _tables_in(model: type[pydantic.BaseModel], holders: tuple[type, ...] = ()) -> Iterator[type[pydantic.BaseModel]]:
     """Yield a model and its nested models, some more than once."""
     yield model
     for info in model.model_fields.values():
         for inner in _models_in(info.annotation):
-            if inner not in seen and inner is not model:
-                yield from _tables_in(inner, (*seen, model))
+            if inner not in holders and inner is not model:
+                yield from _tables_in(inner, (*holders, model))
 
 
 def _parts(annotation: Any) -> list[Any]:
@@ -553,13 +555,13 @@ def _models_in(annotation: Any) -> list[type[pydantic.BaseModel]]:
 MAX_KEYS = 4  # keys listed in the message for a table without an example form
 
 
-def rule_of(error_type: str, context: Mapping[str, Any], given: Any, tables: Iterable[type[pydantic.BaseModel]]) -> str:
+def rule_of(error_type: str, context: Mapping[str, Any], value: Any, tables: Iterable[type[pydantic.BaseModel]]) -> str:
     """Return the end of the sentence "it should ...".
 
     Args:
         error_type: pydantic's error name.
         context: numbers and names of the error.
-        given: the value in the recipe.
+        value: the value in the recipe.
         tables: table models of the recipe, for their example forms.
     """
     if error_type in ("model_type", "model_attributes_type", "dataclass_type"):
@@ -569,7 +571,7 @@ def rule_of(error_type: str, context: Mapping[str, Any], given: Any, tables: Ite
         allowed = str(context["expected"]).replace("'", '"')
         words = [word for word in allowed.split('"') if word.strip(" ,") not in ("", "or")]
         one_of = "one of " if len(words) > 1 else ""
-        return f"be {one_of}{allowed}{('.' + hint) if (hint := did_you_mean(str(given), words)) else ''}"
+        return f"be {one_of}{allowed}{('.' + hint) if (hint := did_you_mean(str(value), words)) else ''}"
     if error_type in COUNTS:
         word, key = COUNTS[error_type]
         one, more = ("character", "characters") if error_type.startswith("string") else ("entry", "entries")
@@ -622,11 +624,11 @@ def _form(table: type[pydantic.BaseModel]) -> str:
         return f", such as {forms[0]}"
     keys = [info.alias or name for name, info in table.model_fields.items()]
     needed = [name for name, info in table.model_fields.items() if info.is_required()]
-    shown = needed or keys
-    if not shown:
+    names = needed or keys
+    if not names:
         return ""
-    more = ", ..." if len(keys) > len(shown[:MAX_KEYS]) else ""
-    return f" with the key{'s' * (len(shown) > 1 or bool(more))} {', '.join(shown[:MAX_KEYS])}{more}"
+    more = ", ..." if len(keys) > len(names[:MAX_KEYS]) else ""
+    return f" with the key{'s' * (len(names) > 1 or bool(more))} {', '.join(names[:MAX_KEYS])}{more}"
 
 
 def _short(number: Any) -> str:

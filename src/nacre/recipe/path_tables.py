@@ -177,13 +177,13 @@ def with_options(table: Mapping[str, Any], options: Iterable[tuple[str, Any]], n
     Raises:
         RecipeError: a path is given twice.
     """
-    given: dict[str, Any] = {}
+    from_options: dict[str, Any] = {}
     for path, entry in options:
-        if path in given:
+        if path in from_options:
             raise RecipeError(f"{name} {path} is given twice; keep one")
-        given[path] = entry
-    named = [re.compile(r"\[(?:\d+|\*)\]".join(map(re.escape, path.split(EVERY))) + "$") for path in given]
-    return {p: e for p, e in table.items() if not any(one.match(p) for one in named)} | given
+        from_options[path] = entry
+    named = [re.compile(r"\[(?:\d+|\*)\]".join(map(re.escape, path.split(EVERY))) + "$") for path in from_options]
+    return {p: e for p, e in table.items() if not any(one.match(p) for one in named)} | from_options
 
 
 def by_path(table: Any, own_keys: frozenset[str] | set[str], source: str, name: str) -> dict[str, Any]:
@@ -199,13 +199,13 @@ def by_path(table: Any, own_keys: frozenset[str] | set[str], source: str, name: 
     """
     if not isinstance(table, Mapping):
         raise RecipeError(f"{source}: {name} = {show_value(table)} should be a table")
-    found: dict[str, Any] = {}
+    expanded: dict[str, Any] = {}
     for key, value in table.items():
         if not isinstance(value, Mapping) or set(value) & own_keys:
-            found[str(key)] = value
+            expanded[str(key)] = value
         elif not value:
             raise RecipeError(f"{source}: {name}.{key} is empty")
         else:
             inner = by_path(value, own_keys, source, f"{name}.{key}")
-            found |= {f"{key}.{path}": entry for path, entry in inner.items()}
-    return found
+            expanded |= {f"{key}.{path}": entry for path, entry in inner.items()}
+    return expanded

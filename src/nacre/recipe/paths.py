@@ -22,16 +22,16 @@ def varying_numbers(data: Any, patterns: tuple[str, ...], path: str = "") -> dic
     """
     if isinstance(data, list):
         inner = [varying_numbers(value, patterns, f"{path}[{i}]") for i, value in enumerate(data)]
-        return {key: table for found in inner for key, table in found.items()}
+        return {key: table for varying in inner for key, table in varying.items()}
     if not isinstance(data, Mapping):
         return {}
     if set(data) & set(TEXTURE_KEYS):
         pattern = re.sub(r"_(um|mm)$", "_nm", re.sub(r"\[\d+\]", "[]", path))
         return {path: data} if pattern in patterns else {}
-    found = {}
+    varying = {}
     for key, value in data.items():
-        found.update(varying_numbers(value, patterns, f"{path}.{key}" if path else str(key)))
-    return found
+        varying.update(varying_numbers(value, patterns, f"{path}.{key}" if path else str(key)))
+    return varying
 
 
 def expand_path(data: Any, path: str, source: str) -> tuple[str, ...]:
@@ -63,15 +63,15 @@ def expand_table(data: Any, table: Mapping[str, Any], source: str) -> dict[str, 
     Raises:
         RecipeError: a path does not exist, or two paths of equal precedence name the same number.
     """
-    found: dict[str, tuple[str, Any]] = {}
+    expanded: dict[str, tuple[str, Any]] = {}
     for path, entry in table.items():
         for each in expand_path(data, path, source):
-            other = found.get(each, (path, entry))[0]
+            other = expanded.get(each, (path, entry))[0]
             if other != path and other.count(EVERY) == path.count(EVERY):
                 raise RecipeError(f'{source}: "{other}" and "{path}" both name {each}; keep one')
             if other.count(EVERY) >= path.count(EVERY):
-                found[each] = path, entry
-    return found
+                expanded[each] = path, entry
+    return expanded
 
 
 @functools.lru_cache(maxsize=4096)

@@ -52,17 +52,17 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         read = _read_again if len(text) <= MAX_CACHED else tomllib.loads
         return plain_data(read(text), source)  # a copy that the caller may change
     except tomllib.TOMLDecodeError as error:
-        said = " ".join(str(error).split())
-        raise RecipeError(f"{source}: not valid TOML: {said}{_hint(text, said)}") from None
+        error_text = " ".join(str(error).split())
+        raise RecipeError(f"{source}: not valid TOML: {error_text}{_hint(text, error_text)}") from None
     except RecursionError:
         raise RecipeError(f"{source}: not valid TOML: {NESTED}") from None
     except (ValueError, OverflowError):  # Python's own limits, of digits and of dates
         raise RecipeError(f"{source}: not valid TOML: a number or a date is too large") from None
 
 
-def _hint(text: str, said: str) -> str:
+def _hint(text: str, error_text: str) -> str:
     """Return advice for a common mistake at an error's place, or an empty string."""
-    place = _PLACE.search(said)
+    place = _PLACE.search(error_text)
     lines = text.splitlines()
     if place is None or not 0 < int(place[1]) <= len(lines):
         return ""

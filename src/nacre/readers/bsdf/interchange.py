@@ -120,7 +120,7 @@ def read_ssdd(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: a block is incomplete or unknown.
     """
     data, place = load_bytes(path, 8.0), 0
-    found: list[Measurement] = []
+    measurements: list[Measurement] = []
     entries: dict[str, str] = {}
     while place < len(data):
         line, place = _line(data, place)
@@ -134,11 +134,11 @@ def read_ssdd(path: Path, options: ReadOptions) -> list[Measurement]:
             except (ValueError, KeyError, IndexError):
                 kind = entries.get("DATA_TYPE", "?")[:40]
                 raise NacreError(f"{path}: block {kind} is incomplete or damaged") from None
-            found.append(measured)
+            measurements.append(measured)
             entries = {key: entries[key] for key in ("VERSION", "SOFTWARE", "DATE") if key in entries}
-    if not found:
+    if not measurements:
         raise NacreError(f"{path}: holds no data block")
-    return found
+    return measurements
 
 
 def _line(data: bytes, place: int) -> tuple[bytes, int]:
@@ -325,14 +325,14 @@ def read_window_xml(path: Path, options: ReadOptions) -> list[Measurement]:
             "convert a tensor tree by Radiance's bsdf2klems"
         )
     name = next((node.text or "" for node in root.iter("Name")), "").strip()
-    found = [
+    measurements = [
         _block_window_xml(path, name, _text(data, "Wavelength"), block, bases, structure == "Columns")
         for data in root.iter("WavelengthData")
         for block in data.iter("WavelengthDataBlock")
     ]
-    if not found:
+    if not measurements:
         raise NacreError(f"{path}: holds no block of scattering data")
-    return found
+    return measurements
 
 
 def _text(node: ET.Element, name: str) -> str:

@@ -197,8 +197,8 @@ def _one_lighttools(
     metadata = {"scatter": scatter, "side": side, "symmetry": head.get("Symmetry", ""),
                 "tis": [float(b.head["TIS"]) for b in blocks]}  # fmt: skip
     assumed = ["the light comes from azimuth 90, as in LightTools files of isotropic surfaces", *notes]
-    values, colour = values.reshape(len(pairs), -1), "xyz" if is_xyz else None
-    return measurement(path, pairs, waves, values, metadata, name=side, colour=colour, assumed=assumed)
+    table, colour = values.reshape(len(pairs), -1), "xyz" if is_xyz else None
+    return measurement(path, pairs, waves, table, metadata, name=side, colour=colour, assumed=assumed)
 
 
 # TracePro surface properties as text: a table of coefficients, and `Table_BSDF_Data` with BRDF and BTDF.

@@ -222,8 +222,8 @@ def sniff_jpk(head: FileHead) -> float:
 
 
 def _tag(page: Any, code: int, default: Any = None) -> Any:
-    found = page.tags.get(code)
-    value = default if found is None else found.value
+    tag = page.tags.get(code)
+    value = default if tag is None else tag.value
     return value.decode("latin-1").strip("\0 ") if isinstance(value, bytes) else value
 
 
@@ -614,7 +614,7 @@ def read_gwy(path: Path, options: ReadOptions) -> list[Measurement]:
     data = path.read_bytes()
     root = _Tree(data, len(GWY_MAGIC)).object()
     maps, others = [], []
-    numbered = ((int(found[1]), found[0]) for key in root if (found := re.fullmatch(r"/(\d+)/data", key)))
+    numbered = ((int(match[1]), match[0]) for key in root if (match := re.fullmatch(r"/(\d+)/data", key)))
     for number, key in sorted(numbered):
         field = root[key]
         name = str(root.get(f"{key}/title", f"channel {number}"))

@@ -46,11 +46,11 @@ def quantity_um(text: str) -> float:
     Raises:
         ValueError: not a number with a unit of length.
     """
-    found = re.match(r"\s*([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*(\S+)", text)
-    factor = length_um(found[2]) if found else None
-    if found is None or factor is None:
+    match = re.match(r"\s*([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*(\S+)", text)
+    factor = length_um(match[2]) if match else None
+    if match is None or factor is None:
         raise ValueError(f'"{text.strip()[:30]}" is not a length')
-    return float(found[1].replace(",", ".")) * factor
+    return float(match[1].replace(",", ".")) * factor
 
 
 def array(data: bytes, dtype: str, shape: tuple[int, int], offset: int = 0) -> NDArray[Any]:

@@ -76,11 +76,11 @@ def read_holography(path: Path, options: ReadOptions) -> list[Measurement]:
     factor = surface.length_um(unit)
     surface.check_unit(path, options, unit)
     if factor is None:
-        found = next((m for line in head if (m := FACTOR.search(line))), None)
-        named = surface.length_um(found[1]) if found else None
-        if found is None or named is None:
+        match = next((m for line in head if (m := FACTOR.search(line))), None)
+        named = surface.length_um(match[1]) if match else None
+        if match is None or named is None:
             raise NacreError(f"{path}: gives heights in {unit or 'no unit'} without a factor to metres")
-        factor = float(found[2]) * named
+        factor = float(match[2]) * named
     values = surface.numbers("\n".join(lines[1 + len(head) :]) + "\n", path)
     heights = surface.shaped(values, (int(size[1]), int(size[2]))) * factor
     facts = {"unit_in_file": unit, "um_per_unit": factor}
@@ -345,9 +345,9 @@ def _upright(rows: NDArray[Any], blank: float = BLANK) -> NDArray[Any]:
 
 
 def _surfer_text(path: Path, data: bytes) -> tuple[NDArray[Any], tuple[float, float]]:
-    found = surface.numbers(surface.decoded(data)[4:], path)
-    shape = int(found[1]), int(found[0])
-    return _upright(surface.shaped(found[8:], shape)), _steps(shape, (found[2], found[3]), (found[4], found[5]))
+    values = surface.numbers(surface.decoded(data)[4:], path)
+    shape = int(values[1]), int(values[0])
+    return _upright(surface.shaped(values[8:], shape)), _steps(shape, (values[2], values[3]), (values[4], values[5]))
 
 
 def _surfer_6(path: Path, data: bytes) -> tuple[NDArray[Any], tuple[float, float]]:

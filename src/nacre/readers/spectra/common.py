@@ -118,7 +118,7 @@ def numeric_row(line: str, mark: str | None) -> list[float] | None:
 
 def blocks(lines: Sequence[str], least_rows: int = 2, least_columns: int = 1) -> list[Block]:
     """Return all tables of numbers; empty lines inside a table are skipped."""
-    found: list[Block] = []
+    tables: list[Block] = []
     rows: list[list[float]] = []
     start = stop = 0
     mark: str | None = None
@@ -130,7 +130,7 @@ def blocks(lines: Sequence[str], least_rows: int = 2, least_columns: int = 1) ->
             wide = [row[:width] + [float("nan")] * (width - len(row)) for row in rows]
             if width >= least_columns:
                 is_cut = delimiters(lines[stop - 1], mark) < delimiters(lines[start], mark)
-                found.append(Block(start, stop, np.array(wide), sum(count < width for count in counts), is_cut))
+                tables.append(Block(start, stop, np.array(wide), sum(count < width for count in counts), is_cut))
         rows.clear()
 
     for place, line in enumerate(lines):
@@ -148,7 +148,7 @@ def blocks(lines: Sequence[str], least_rows: int = 2, least_columns: int = 1) ->
         rows.append(row)
         stop = place + 1
     finish()
-    return found
+    return tables
 
 
 def complete(path: Path, block: Block) -> Array:

@@ -78,7 +78,7 @@ def read_opus(path: Path, options: ReadOptions) -> list[Measurement]:
 def _directory(path: Path, data: bytes) -> list[tuple[BlockType, bytes]]:
     """Return the blocks with their types. The head holds, from byte 12: offset, capacity and number of entries."""
     start, capacity, count = struct.unpack_from("<3i", data, 12)
-    found: list[tuple[BlockType, bytes]] = []
+    blocks: list[tuple[BlockType, bytes]] = []
     for index in range(min(count, capacity)):
         code, size, offset = struct.unpack_from("<3I", data, start + 12 * index)
         if offset == 0:
@@ -89,8 +89,8 @@ def _directory(path: Path, data: bytes) -> list[tuple[BlockType, bytes]]:
         for bits in _BITS:
             parts.append(code & ((1 << bits) - 1))
             code >>= bits
-        found.append(((parts[0], parts[1], parts[2], parts[3], parts[4], parts[5]), data[offset : offset + 4 * size]))
-    return found
+        blocks.append(((parts[0], parts[1], parts[2], parts[3], parts[4], parts[5]), data[offset : offset + 4 * size]))
+    return blocks
 
 
 def _parameters(raw: bytes) -> dict[str, int | float | str]:
@@ -230,7 +230,7 @@ def read_perkinelmer_sp(path: Path, options: ReadOptions) -> list[Measurement]:
 
 def _members(data: bytes) -> dict[int, bytes]:
     """Return the members of the data set by number, without their type codes."""
-    found: dict[int, bytes] = {}
+    members: dict[int, bytes] = {}
     at = 44
     while at + 6 <= len(data):
         number, size = struct.unpack_from("<hi", data, at)
@@ -239,9 +239,9 @@ def _members(data: bytes) -> dict[int, bytes]:
             continue
         if size < 0 or at + size > len(data):
             break
-        found.setdefault(number, data[at + 2 : at + size])
+        members.setdefault(number, data[at + 2 : at + size])
         at += size
-    return found
+    return members
 
 
 def _text(member: bytes) -> str:

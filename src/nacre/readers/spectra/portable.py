@@ -289,12 +289,12 @@ def read_avantes_text(path: Path, options: ReadOptions) -> list[Measurement]:
 
 def _counts(names: list[str], units: list[str], table: Array) -> dict[str, Array]:
     """Return the columns of counts by role."""
-    found: dict[str, Array] = {}
+    counts: dict[str, Array] = {}
     for place, (name, unit) in enumerate(zip(names, units, strict=False)):
         role = next((role for role, pattern in _ROLES if re.search(pattern, name.lower())), None)
         if role and "%" not in unit and 0 < place < table.shape[1]:
-            found.setdefault(role, table[:, place])
-    return found
+            counts.setdefault(role, table[:, place])
+    return counts
 
 
 def _avantes_label(path: Path, name: str, unit: str, table: Array, options: ReadOptions, notes: Notes) -> Label:
@@ -342,7 +342,7 @@ def read_avantes_binary(path: Path, options: ReadOptions) -> list[Measurement]:
 
 
 def _version_8(path: Path, data: bytes, options: ReadOptions) -> list[Measurement]:
-    found = []
+    spectra = []
     at = 6
     for index in range(data[5]):
         _, mode, _, _, serial, own, _, first, last, milliseconds = _HEAD_8.unpack_from(data, at + 4)
@@ -358,9 +358,9 @@ def _version_8(path: Path, data: bytes, options: ReadOptions) -> list[Measuremen
             "instrument": c_string(serial), "own_name": c_string(own), "integration_time_ms": round(milliseconds, 6),
             "averages": averages, "mode": mode,
         }  # fmt: skip
-        found.append(_measurement(path, nm, sample, dark, reference, mode, metadata, options))
+        spectra.append(_measurement(path, nm, sample, dark, reference, mode, metadata, options))
         at = start + 16 * count + _MERGE_8
-    return found
+    return spectra
 
 
 def _measurement(
@@ -605,13 +605,13 @@ def read_ocean_procspec(path: Path, options: ReadOptions) -> list[Measurement]:
             RATIO if label.quantity == "reflectance" else f"counts, because values are up to {size:.4g}"
         )
     keys = ("spectrometerSerialNumber", "userName", "integrationTime", "scansToAverage", "boxcarWidth")
-    metadata = {key: found[1] for key in keys if (found := re.search(rf"<{key}>([^<]*)</{key}>", xml))}
+    metadata = {key: match[1] for key in keys if (match := re.search(rf"<{key}>([^<]*)</{key}>", xml))}
     return [common.spectrum(path, nm, values, label, options, metadata=metadata, notes=notes)]
 
 
 def _inside(xml: str, tag: str) -> str:
-    found = re.search(rf"<{tag}\b[^>]*>.*?</{tag}>", xml, re.DOTALL)
-    return found[0] if found else ""
+    match = re.search(rf"<{tag}\b[^>]*>.*?</{tag}>", xml, re.DOTALL)
+    return match[0] if match else ""
 
 
 def _numbers(xml: str, tag: str) -> Array | None:
@@ -642,7 +642,7 @@ def read_qtx(path: Path, options: ReadOptions) -> list[Measurement]:
             sections.append({})
         elif sections and (pair := re.match(r"\s*(?:STD|BAT)_(\w+)\s*=\s*(.*?)\s*$", line, re.IGNORECASE)):
             sections[-1][pair[1].upper()] = pair[2]
-    found = []
+    spectra = []
     for place, section in enumerate(sections, start=1):
         name = section.get("NAME") or str(place)
         key = next((key for key in ("R", "T") if key in section), None)
@@ -656,5 +656,5 @@ def read_qtx(path: Path, options: ReadOptions) -> list[Measurement]:
         label = Label("reflectance" if key == "R" else "transmittance", 0.01)
         metadata = {word.lower(): section[word] for word in ("VIEWING", "DATETIME", "GLOSS") if section.get(word)}
         nm, factors = start + step * np.arange(len(values)), np.array(values, dtype=float)
-        found.append(common.spectrum(path, nm, factors, label, options, name=name, metadata=metadata))
-    return common.choose(path, found, options)
+        spectra.append(common.spectrum(path, nm, factors, label, options, name=name, metadata=metadata))
+    return common.choose(path, spectra, options)

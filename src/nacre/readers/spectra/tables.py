@@ -50,14 +50,14 @@ def sniff(head: FileHead) -> float:
         text = text[: max(text.rfind("\n"), text.rfind("\r")) + 1]
     across = _across(LINE_END.split(text))
     try:
-        found = _of_spectra(tables_of(text, head.path))
+        tables = _of_spectra(tables_of(text, head.path))
     except NacreError:
-        found = []
-    if not found or across is not None:
+        tables = []
+    if not tables or across is not None:
         return 0.0 if across is None else WIDE
-    if len(found) > 1 and len(found[1].rows) > 0.5 * len(found[0].rows):
+    if len(tables) > 1 and len(tables[1].rows) > 0.5 * len(tables[0].rows):
         return 0.0
-    return _confidence(found[0])
+    return _confidence(tables[0])
 
 
 def _of_spectra(file: TableFile) -> list[TextTable]:
@@ -98,10 +98,10 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     if across is not None:
         return common.choose(path, _read_across(path, across, options), options)
     file = load_tables(path)
-    found = _of_spectra(file)
-    if not found:
+    tables = _of_spectra(file)
+    if not tables:
         raise NacreError(f"{path}: has no table of a spectrum")
-    table = found[0]
+    table = tables[0]
     notes = Notes(left_out=list(file.left_out))
     if file.trailing or table is not file.tables[-1]:
         notes.left_out.append("the text below the table")
@@ -121,11 +121,11 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     else:
         found_spectra = _columns(path, _numbers(table), names, metadata, options, notes, ordinate)
     above = read_preamble(table.titles)
-    said = instead_of(above, options.angle_deg)
+    remarks = instead_of(above, options.angle_deg)
     if options.angle_deg is not None:  # the user's statement precedes
         above = replace(above, angle_deg=None)
     with_above = [with_preamble(each, above) for each in found_spectra]
-    return common.choose(path, [replace(each, assumed=(*each.assumed, *said)) for each in with_above], options)
+    return common.choose(path, [replace(each, assumed=(*each.assumed, *remarks)) for each in with_above], options)
 
 
 def of_samples(table: TextTable, options: ReadOptions) -> list[Measurement] | None:
@@ -150,8 +150,8 @@ def of_samples(table: TextTable, options: ReadOptions) -> list[Measurement] | No
     if label is not None and label.quantity not in common.QUANTITIES:
         return None
     if label is None and options.quantity is None and options.expects is None and len(samples) > 1:
-        said = f"{table.path}: the columns{_shown([(name, np.zeros(0)) for name in names])} have no quantity"
-        raise AmbiguousFileError(said, "quantity", common.QUANTITIES)
+        problem = f"{table.path}: the columns{_shown([(name, np.zeros(0)) for name in names])} have no quantity"
+        raise AmbiguousFileError(problem, "quantity", common.QUANTITIES)
     if label is None and options.assumed_quantity in common.QUANTITIES and options.expects == "spectrum":
         if options.spectrum is None and len(samples) < 2:
             return None  # the only heading is refused: it may name any quantity
@@ -183,8 +183,8 @@ def of_samples(table: TextTable, options: ReadOptions) -> list[Measurement] | No
 
 def _is_spectral(heading: str, unit: str) -> bool:
     """Whether a heading can only state wavelengths, energies or wavenumbers."""
-    found = {meaning.quantity for meaning in meanings(heading, unit)}
-    return bool(found) and found <= {*SPECTRAL_QUANTITIES, "spectral"}
+    quantities = {meaning.quantity for meaning in meanings(heading, unit)}
+    return bool(quantities) and quantities <= {*SPECTRAL_QUANTITIES, "spectral"}
 
 
 def _is_quantity(table: TextTable, place: int) -> bool:
@@ -255,7 +255,7 @@ def _pairs(
 ) -> list[Measurement]:
     """Return the spectra of pairs of columns, which may have unlike lengths."""
     titles = [*(split(table.titles[-1], table.delimiter) if table.titles else []), *[""] * len(names)]
-    found = []
+    spectra = []
     for place in pairs:
         if place + 1 >= table.width:
             continue
@@ -263,8 +263,8 @@ def _pairs(
         x, y = x[np.isfinite(x)], y[np.isfinite(x)]
         own = notes.copy()
         label = _labels(table.path, x, [(names[place + 1], y)], options, own)[0]
-        found.append(_one(table.path, x, y, names[place], label, titles[place], {}, options, own))
-    return found
+        spectra.append(_one(table.path, x, y, names[place], label, titles[place], {}, options, own))
+    return spectra
 
 
 def _columns(
@@ -306,11 +306,20 @@ def _columns(
     technique = common.label_of(metadata.get("Technique", ""))
     if technique is not None and len(spectra) == 1 and names[spectra[0][0]] == "Processed":  # Wasatch Enlighten
         names[spectra[0][0]] = "Processed %" + technique.quantity if technique.factor is None else technique.quantity
-    said = [names[column] for column, _ in spectra]
-    if len(said) == 1 and ordinate and common.label_of(said[0]) is None and not common.has_other_scale(said[0]):
-        said = [ordinate]
+    headings = [names[column] for column, _ in spectra]
+    if (
+        len(headings) == 1
+        and ordinate
+        and common.label_of(headings[0]) is None
+        and not common.has_other_scale(headings[0])
+    ):
+        headings = [ordinate]
     labels = _labels(
-        path, table[:, place], [(name, table[:, column]) for name, (column, _) in zip(said, spectra)], options, notes
+        path,
+        table[:, place],
+        [(name, table[:, column]) for name, (column, _) in zip(headings, spectra)],
+        options,
+        notes,
     )
     angles = [degrees(names[column]) for column, _ in spectra]
     about: list[dict[str, object]] = [{**metadata} for _ in spectra]
@@ -381,8 +390,8 @@ def _labels(
     decided: dict[str, Label] = {}
     for quantity in dict.fromkeys(label.quantity for label in labels if label.factor is None):
         members = [values for label, (_, values) in zip(labels, columns, strict=True) if label.quantity == quantity]
-        shown = _shown(columns)
-        unnamed = f"no quantity in the heading{shown}" if shown else "no quantity"
+        headings = _shown(columns)
+        unnamed = f"no quantity in the heading{headings}" if headings else "no quantity"
         what = f"{quantity} without a unit" if quantity else unnamed
         size_x, size_y = np.tile(x, len(members)), np.concatenate(members)
         decided[quantity] = common.by_size(path, size_x, size_y, notes, what, likely=quantity or "reflectance")
