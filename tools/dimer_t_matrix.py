@@ -42,9 +42,9 @@ def main(path: str) -> None:
                 computation={"keywords": "semi-analytical"},
             )  # fmt: skip
         known = read_tmatrices(theirs, is_aligned=True)
-    assert known.whole is not None  # of what is not axisymmetric
-    size = np.abs(known.whole)
-    known = dataclasses.replace(known, whole=np.where(size > NOISE * size.max(), known.whole, 0.0))
+    assert known.full is not None  # of what is not axisymmetric
+    size = np.abs(known.full)
+    known = dataclasses.replace(known, full=np.where(size > NOISE * size.max(), known.full, 0.0))
     note = f"radii {RADII_NM[0]:g} and {RADII_NM[1]:g} nm, n = {INDEX}, centres {APART_NM:g} nm apart, in vacuum"
     write_tmatrices(path, known, "", "treams: two coupled spheres, expanded about their middle", note)
 

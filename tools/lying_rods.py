@@ -41,7 +41,7 @@ def lying_spheroid(length_nm: float, width_nm: float, material: str, around: flo
     name = f"lying spheroid of {material}, {length_nm:g} x {width_nm:g} nm"
     return AxialTMatrices(
         wavelengths_nm, kept, upright.ambient_index, name, length_nm / 2, width_nm, length_nm / 2,
-        upright.material_index, whole=whole,
+        upright.material_index, full=whole,
     )  # fmt: skip
 
 

@@ -73,7 +73,7 @@ def dimers(substrate, coverage=0.1, packing=0.4, films=(), gap=60.0, whole=None,
     structure = hard_disk_structure(density, packing, 4.5 * below.wavenumber * max(1.0, below.index_below))
     at = int(np.argmin(np.abs(known().wavelengths_nm - wavelength)))
     mean = Monolayer(below, (Particle(1.0, HEIGHT / 2 + gap, known().blocks[at]),), structure, mmax=mmax)
-    return AlignedLayer(mean, known().whole[at] if whole is None else whole)
+    return AlignedLayer(mean, known().full[at] if whole is None else whole)
 
 
 def spheres(substrate, lmax=4):
@@ -193,7 +193,7 @@ def test_values_at_a_few_pairs_are_those_of_the_lobe_between_its_angles(turn):
 def test_a_tilted_particle_is_light_and_view_tilted_back(tilt_deg):
     """In free space, of the lopsided particle of the file: all |F|^2 over both polarisations stay."""
     tilt, layer = np.radians(tilt_deg), dimers(1.0, mmax=5)
-    tilted = AlignedLayer(layer.mean, tilted_full(layer.whole, tilt))
+    tilted = AlignedLayer(layer.mean, tilted_full(layer.full, tilt))
     a = vectors(6, 8)
     b = about_y(a, tilt)
     keep = b[:, 2] > 0.05
@@ -218,8 +218,8 @@ def test_a_turned_particle_is_the_material_turned(turn_deg, monkeypatch):
     turn = np.radians(turn_deg)
     films = ((1.46, 120.0),)
     straight, turned = dimers(4.3 + 0.07j, films=films), dimers(4.3 + 0.07j, films=films)
-    phase = np.exp(-1j * multipole_index(full_order(turned.whole)).m * turn)
-    turned = AlignedLayer(turned.mean, phase[:, None] * turned.whole * phase.conj())
+    phase = np.exp(-1j * multipole_index(full_order(turned.full)).m * turn)
+    turned = AlignedLayer(turned.mean, phase[:, None] * turned.full * phase.conj())
     mirror, diffuse = lobes(straight, 10)
     mirror_turned, diffuse_turned = lobes(turned, 10)
     a, b = vectors(1000, 2), vectors(1000, 3)
@@ -384,7 +384,7 @@ def _inside(within, centre=180.0, whole=None):
     mean = dimers(1.5).mean
     structure = hard_disk_structure(mean.structure.density_per_nm2, 0.4, 4.5 * within.wavenumber * 1.5)
     inner = Monolayer(within, (dataclasses.replace(mean.particles[0], centre_nm=centre),), structure)
-    return AlignedLayer(inner, known().whole[0] if whole is None else whole)
+    return AlignedLayer(inner, known().full[0] if whole is None else whole)
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 40.0])
@@ -411,7 +411,7 @@ def test_a_thin_layer_sends_what_its_particles_do_alone(turn_deg):
 
 def _lossless():
     """Return the file's T without its absorption: the unitary matrix next to 1 + 2 T."""
-    u, _, vh = np.linalg.svd(np.eye(known().whole.shape[-1]) + 2 * known().whole[0])
+    u, _, vh = np.linalg.svd(np.eye(known().full.shape[-1]) + 2 * known().full[0])
     return 0.5 * (u @ vh - np.eye(len(u)))
 
 
@@ -419,7 +419,7 @@ def _lossless():
 def test_where_nothing_absorbs_all_light_comes_back(substrate, coverage, packing):
     """At each azimuth, though R, T and what is scattered change with it: the mean field's own balance of energy."""
     layer = dimers(substrate, coverage, packing, whole=_lossless())
-    assert np.abs(reversed_full(layer.whole) - layer.whole).max() <= SAME
+    assert np.abs(reversed_full(layer.full) - layer.full).max() <= SAME
     cosines = np.cos(np.radians([0.0, 30.0, 55.0]))
     parts = np.stack([np.stack(aligned_powers(layer, cosines, a)) for a in (0.0, 0.5, np.pi / 2)])
     assert np.abs(parts.sum(axis=1) - 1.0).max() <= QCA_ENERGY
@@ -448,7 +448,7 @@ def test_lobes_are_reciprocal_and_keep_energy(below):
 def test_a_file_is_written_and_read_the_same(tmp_path):
     write_tmatrices(tmp_path / "again.tmat.h5", known())
     again = read_tmatrices(tmp_path / "again.tmat.h5", is_aligned=True)
-    assert np.abs(again.whole - known().whole).max() <= 1e-15
+    assert np.abs(again.full - known().full).max() <= 1e-15
     treams = pytest.importorskip("treams.io").treams
     theirs, ours = (treams.io.load_hdf5(str(p))[0] for p in (FILE, tmp_path / "again.tmat.h5"))
     assert np.abs(np.asarray(theirs) - np.asarray(ours)).max() <= 1e-15
@@ -488,6 +488,6 @@ def test_the_example_s_file_is_what_its_tool_writes_and_a_turned_upright_rod():
     again = tool.lying_spheroid(tool.LENGTH_NM, tool.WIDTH_NM, "Ag", tool.FILM_INDEX, nm, tool.ORDER)
     held = read_tmatrices(EXAMPLE.with_name("silver_rods.tmat.h5"), is_aligned=True)
     at = int(np.argmin(np.abs(held.wavelengths_nm - 640.0)))
-    assert np.abs(held.whole[at] - again.whole[0]).max() <= 2 * tool.KEPT * np.abs(held.whole).max()
+    assert np.abs(held.full[at] - again.full[0]).max() <= 2 * tool.KEPT * np.abs(held.full).max()
     upright = spread_blocks(again.blocks[0], multipole_index(tool.ORDER))
-    assert np.abs(tilted_full(again.whole[0], -np.pi / 2) - upright).max() <= 1e-7 * np.abs(upright).max()
+    assert np.abs(tilted_full(again.full[0], -np.pi / 2) - upright).max() <= 1e-7 * np.abs(upright).max()

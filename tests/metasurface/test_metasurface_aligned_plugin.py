@@ -183,7 +183,7 @@ def test_the_file_of_an_aligned_particle_is_exported_whole(folder, tmp_path, cap
     assert run(["export", str(recipe(folder)), "--to", "tmat", "-o", str(out)]) == 0
     from nacre.families.metasurface.tmatrix.tmatrix_file import read_tmatrices
 
-    assert np.abs(read_tmatrices(out, True).whole - read_tmatrices(FILE, True).whole).max() <= 1e-15
+    assert np.abs(read_tmatrices(out, True).full - read_tmatrices(FILE, True).full).max() <= 1e-15
 
 
 @pytest.mark.parametrize(

@@ -226,10 +226,10 @@ class Film(Polarised):
             sides.append(layers[::-1])
         total_nm = 0.0
         for side in sides:
-            left, optical = np.full(len(lam), -np.log(AMPLITUDE_CUTOFF)), np.zeros(len(lam))
+            remaining, optical = np.full(len(lam), -np.log(AMPLITUDE_CUTOFF)), np.zeros(len(lam))
             for n, thickest, thinnest, loss in side:
-                optical += n * np.minimum(thickest, left / np.maximum(loss, 1e-300))
-                left = np.maximum(left - loss * thinnest, 0.0)
+                optical += n * np.minimum(thickest, remaining / np.maximum(loss, 1e-300))
+                remaining = np.maximum(remaining - loss * thinnest, 0.0)
             total_nm = max(total_nm, float(np.max(optical)))
         return total_nm
 

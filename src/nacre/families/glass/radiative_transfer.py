@@ -374,16 +374,16 @@ def with_one_index(medium: Medium, index: float, thickness_nm: float, albedo: Ar
 
         target = diffuse(1.0, max(float(medium.index[band]), 1.0))
         before, now = 1.0, 1.0 + FIRST_STEP
-        missed = diffuse(before, index) - target
-        left = diffuse(now, index) - target
+        previous = diffuse(before, index) - target
+        residual = diffuse(now, index) - target
         for _ in range(SECANT_STEPS):
-            if abs(left - missed) < MIN_SLOPE * abs(now - before):
+            if abs(residual - previous) < MIN_SLOPE * abs(now - before):
                 return 1.0
-            before, now, missed = now, now - left * (now - before) / (left - missed), left
+            before, now, previous = now, now - residual * (now - before) / (residual - previous), residual
             if abs(now - 1.0) > MAX_CHANGE:
                 return 1.0
-            left = diffuse(now, index) - target
-            if abs(left) < ALBEDO_TOL:
+            residual = diffuse(now, index) - target
+            if abs(residual) < ALBEDO_TOL:
                 break
         return now
 

@@ -52,8 +52,8 @@ class ScanLines:
 
     Attributes:
         period_nm: reciprocal distance of the lines.
-        held: number of the highest line.
-        power: kappa in 1/nm -> mirror share |m|^2, and powers `[2 held + 1, 2 held + 1]` of the scatter.
+        highest: number of the highest line.
+        power: kappa in 1/nm -> mirror share |m|^2, and powers `[2 highest + 1, 2 highest + 1]` of the scatter.
         windows: window count.
         noise: relative standard deviation of the scatter in one direction, from the number of independent windows.
         upsampling: samples per point along each axis.
@@ -61,7 +61,7 @@ class ScanLines:
     """
 
     period_nm: float
-    held: int
+    highest: int
     power: Callable[[float], tuple[float, RealArray]]
     windows: int
     noise: float

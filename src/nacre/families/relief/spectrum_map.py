@@ -218,7 +218,7 @@ class _Plan:
     def _lines(self) -> tuple[int, Callable[[float], tuple[float, NDArray[np.float32]]], float]:
         """Return the highest line, the function kappa -> mirror share and powers of the rest, and its memory."""
         if self.scan is not None:
-            return self.scan.held, self.scan.power, self.scan.bytes_per_node
+            return self.scan.highest, self.scan.power, self.scan.bytes_per_node
         assert isinstance(self.tile, Tile)
         surface = self.tile.surface_nm(self.sampling.samples_per_feature).astype(np.float32)
         samples = surface.shape[0]
@@ -246,7 +246,7 @@ class _Part:
     """A table under construction: smoothed lines of each kappa node, then interpolated to xi and wavelength."""
 
     def __init__(self, plan: _Plan, highest: int, psi_x: Array, psi_y: Array, wavelengths_nm: Array) -> None:
-        self._plan, self._held, self._wavelengths = plan, highest, wavelengths_nm
+        self._plan, self._highest, self._wavelengths = plan, highest, wavelengths_nm
         self._shape = (len(psi_x), len(psi_y))
         self._psi = psi_x, psi_y
         tilt = plan.tile.tilt if isinstance(plan.tile, Scan) else (0.0, 0.0)
@@ -262,7 +262,7 @@ class _Part:
         shift = [kappa * wavelength * slope for slope in self._tilt or (0.0, 0.0)]
         psi_x, psi_y = self._psi[0] + shift[0], self._psi[1] + shift[1]
         is_same = self._psi[0] is self._psi[1] and shift[0] == shift[1]
-        reach = min(self._held, int(np.ceil(period * (2.0 + 6.0 * blur + max(map(abs, shift))) / wavelength)))
+        reach = min(self._highest, int(np.ceil(period * (2.0 + 6.0 * blur + max(map(abs, shift))) / wavelength)))
         # the lines of a small scan are farther apart than the smoothing width of the window
         wide = blur if plan.scan is None else max(blur, wavelength / period)
         # the spline adds a variance of step^2/4; the coefficients are smoothed by the rest
@@ -283,7 +283,7 @@ class _Part:
             kappa = float(self._plan.kappas[node])
             smoothing = self._smoothing(float(wavelength), kappa) if self._tilt else self._matrices[k]
             reach = smoothing.reach
-            inner = slice(self._held - reach, self._held + reach + 1)
+            inner = slice(self._highest - reach, self._highest + reach + 1)
             across = np.empty((self._shape[0], 2 * reach + 1), dtype=np.float32)
             for rows, columns, block in smoothing.along_x:
                 np.matmul(block, power[inner, inner][columns], out=across[rows])
@@ -363,8 +363,8 @@ def _plan(tile: Tile | Scan, coherence: Coherence, wavelengths_nm: Array, error:
     if isinstance(tile, Scan):
         frequency += kappa_high * max(map(abs, tile.tilt))
         scan = tile.lines(width_nm, kappa_high, frequency, len(kappas))
-        sampling = Sampling(scan.upsampling, 0.0, 0.0, scan.held)
-        return _Plan(tile, coherence, sampling, kappas, scan.held, xi, psi, step, grid_error, scan)
+        sampling = Sampling(scan.upsampling, 0.0, 0.0, scan.highest)
+        return _Plan(tile, coherence, sampling, kappas, scan.highest, xi, psi, step, grid_error, scan)
     highest = int(np.ceil(tile.period_nm * frequency))
     sampling = choose_sampling(tile, kappa_high, highest, error)
     return _Plan(tile, coherence, sampling, kappas, highest, xi, psi, step, grid_error)

@@ -308,14 +308,14 @@ def _to_middle(occupied: Mask) -> int:
 
 def _rectangles(mask: Mask) -> list[tuple[int, int, int, int]]:
     """Return boxes (x_0, x_1, y_0, y_1) of features that fill a mask without overlap."""
-    left = mask.copy()
+    remaining = mask.copy()
     boxes = []
-    while left.any():
-        x, y = (int(v) for v in np.argwhere(left)[0])
-        y_1 = y + int(np.argmin(np.append(left[x, y:], False)))
-        rows = np.append(left[x:, y:y_1].all(axis=1), False)
+    while remaining.any():
+        x, y = (int(v) for v in np.argwhere(remaining)[0])
+        y_1 = y + int(np.argmin(np.append(remaining[x, y:], False)))
+        rows = np.append(remaining[x:, y:y_1].all(axis=1), False)
         x_1 = x + int(np.argmin(rows))
-        left[x:x_1, y:y_1] = False
+        remaining[x:x_1, y:y_1] = False
         boxes.append((x, x_1, y, y_1))
     return boxes
 

@@ -589,17 +589,17 @@ def _wall_grid(stack: PeriodicStack, k0: float, degree: int, layers: int) -> Gri
         media: list[tuple[float, complex]], at: Array, is_above: bool
     ) -> tuple[list[tuple[float, complex]], float]:
         """Add the layers within the buffer; return the rest, and how far the buffer reaches into the half space."""
-        left = buffer
+        remaining = buffer
         parts: list[tuple[float, complex, tuple[bool, bool]]] = []
         rest = list(media)
-        while left > 1e-9:
+        while remaining > 1e-9:
             thickness, epsilon = rest[0]
-            used = min(thickness, left)
+            used = min(thickness, remaining)
             parts.append((used, epsilon, (not parts, False)))
             rest[0] = (thickness - used, epsilon)
             if rest[0][0] <= 1e-9:
                 rest.pop(0)
-            left -= used
+            remaining -= used
         for used, epsilon, (near, far) in reversed(parts) if is_above else parts:
             put(used, np.full(len(fractions), epsilon), (far, near) if is_above else (near, far), at, at)
         return rest, parts[-1][0] if np.isinf(thickness) else 0.0

@@ -257,9 +257,9 @@ class Parts:
             if self.key and result[1] > MIN_PART_S:
                 cache_arrays(f"{self.key}-{label}", result[0])
 
-        left = [label for label in items if label not in results]
-        solved = in_workers(timed, left, keep, DESCRIPTION)
-        return results | {label: arrays for label, (arrays, _) in zip(left, solved, strict=True)}
+        missing = [label for label in items if label not in results]
+        solved = in_workers(timed, missing, keep, DESCRIPTION)
+        return results | {label: arrays for label, (arrays, _) in zip(missing, solved, strict=True)}
 
     def drop(self) -> None:
         """Remove all parts."""
@@ -286,23 +286,23 @@ def _fits(
 
     fits: dict[int, Fit] = {}
     is_even = len(symmetries) > len(images)
-    left: dict[int, Counts] = dict.fromkeys(range(len(stacks)), EVEN_NODES if is_even else LEAST_NODES)
-    while left:
+    pending: dict[int, Counts] = dict.fromkeys(range(len(stacks)), EVEN_NODES if is_even else LEAST_NODES)
+    while pending:
         items: dict[str, tuple[int, Counts, Array]] = {}
-        for w, counts in left.items():
+        for w, counts in pending.items():
             every = solved_nodes(channels[w], counts, symmetries)
             for i in np.unique(every[:, axis]):
                 items[f"{step}-{w}-{counts[0]}x{counts[1]}-{i}"] = (w, counts, every[every[:, axis] == i])
         # wavelengths of equal wave vectors one after the other, since they share functions
         items = dict(sorted(items.items(), key=lambda item: (item[1][2][0, axis], item[1][1], item[1][0])))
         results = parts.solved(solved, items)
-        for w, counts in left.items():
+        for w, counts in pending.items():
             own = [(item[2], results[label]) for label, item in items.items() if item[0] == w]
             values = np.concatenate([each["real"] + 1j * each["imag"] for _, each in own])
             rank = np.lexsort(np.concatenate([numbers for numbers, _ in own]).T[::-1])  # as `solved_nodes`
             fits[w] = fitted(channels[w], values[rank], counts, symmetries)
-        more = {w: next_counts(fits[w], tail) for w in left}
-        left = {w: counts for w, counts in more.items() if counts is not None}
+        more = {w: next_counts(fits[w], tail) for w in pending}
+        pending = {w: counts for w, counts in more.items() if counts is not None}
     return fits
 
 

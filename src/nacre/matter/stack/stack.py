@@ -134,7 +134,7 @@ class Stack:
 
         An azimuth A of the given stack is -A in the frame of the returned one.
         """
-        return Stack(self.substrate, [_seen_from_below(layer) for layer in self.layers[::-1]], self.ambient)
+        return Stack(self.substrate, [_from_below(layer) for layer in self.layers[::-1]], self.ambient)
 
     def solve(
         self, theta_rad: ArrayLike, wavelengths_nm: ArrayLike, *, absorption: bool = False, jobs: int | None = None
@@ -299,7 +299,7 @@ class _Turned:
         return rotated(flipped(self.medium.tensor(wavelengths_nm)), self.angle)
 
 
-def _seen_from_below(layer: Layer) -> Layer:
+def _from_below(layer: Layer) -> Layer:
     medium, helix = layer.material, layer.helix
     if is_isotropic(medium):
         return layer

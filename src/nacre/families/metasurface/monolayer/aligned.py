@@ -67,27 +67,27 @@ class AlignedLayer:
 
     Attributes:
         mean: the monolayer with rotationally averaged particles: stack, arrangement, neighbour sums.
-        whole: full T for one particle, `[n, n']`, with at least the `mean` multipoles.
+        full: full T for one particle, `[n, n']`, with at least the `mean` multipoles.
     """
 
     mean: Monolayer
-    whole: ComplexArray
+    full: ComplexArray
 
     @cached_property
     def index(self) -> MultipoleIndex:
         """The flat multipole index."""
-        return self._kept[0]
+        return self._multipoles[0]
 
     @cached_property
-    def _kept(self) -> tuple[MultipoleIndex, NDArray[np.intp]]:
+    def _multipoles(self) -> tuple[MultipoleIndex, NDArray[np.intp]]:
         sphere = self.mean.spheres[0]
         return truncated_index(sphere.lmax, sphere.mmax)
 
     @cached_property
     def dressed(self) -> ComplexArray:
         """M = (T^-1 - W)^-1 for the particle above its stack, `[n, n']`."""
-        index, selected = self._kept
-        t = truncated_full(self.whole, index.order)[selected[:, None], selected]
+        index, selected = self._multipoles
+        t = truncated_full(self.full, index.order)[selected[:, None], selected]
         return np.asarray(dressed_matrix(t[None], spread_blocks(self.mean.spheres[0].coupling, index)[None])[0])
 
     @cached_property
@@ -500,8 +500,8 @@ def _select_terms(series: NDArray[np.float32]) -> NDArray[np.intp]:
     partner = [places.get((b, a, sine), places.get((-b, -a, sine), 0)) for a, b, sine in orders.tolist()]
     both = power + power[partner]
     order = np.argsort(-both, kind="stable")
-    left = 1.0 - np.cumsum(power[order]) / max(float(power.sum()), 1e-300)
-    count = min(int(np.searchsorted(-left, -(LEFT_OUT**2))) + 1, MOST_TERMS, len(order))
+    omitted = 1.0 - np.cumsum(power[order]) / max(float(power.sum()), 1e-300)
+    count = min(int(np.searchsorted(-omitted, -(LEFT_OUT**2))) + 1, MOST_TERMS, len(order))
     chosen = np.nonzero(both >= both[order[count - 1]])[0]
     return np.asarray(chosen[np.argsort(-both[chosen], kind="stable")])
 

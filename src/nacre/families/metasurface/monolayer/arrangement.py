@@ -566,7 +566,7 @@ SURE = 0.7  # grey-level variance that two levels must explain; 0.64 for pure no
 
 
 @dataclass(frozen=True)
-class Found:
+class PictureParticles:
     """Particles found in a picture.
 
     Attributes:
@@ -614,7 +614,7 @@ def grey_levels(path: Path, where: str) -> Array:
     return (levels - low) / (high - low)
 
 
-def find_particles(levels: Array, width_um: float) -> Found:
+def find_particles(levels: Array, width_um: float) -> PictureParticles:
     """Find the particles in grey levels, `[row, column]`, for picture width `width_um`.
 
     Raises:
@@ -656,7 +656,9 @@ def find_particles(levels: Array, width_um: float) -> Found:
     at = np.array(ndimage.center_of_mass(inside, blobs, selected)).reshape(-1, 2)
     xy = np.column_stack([at[:, 1] + 0.5, rows - 0.5 - at[:, 0]]) * pixel_nm * 1e-3
     notes = [f"a banner of {above + below} rows"] * (above + below > 0) + ["marks drawn in"] * bool(drawn.any())
-    return Found(xy, diameters * pixel_nm, (width_um, rows * pixel_nm * 1e-3), is_bright, " and ".join(notes))
+    return PictureParticles(
+        xy, diameters * pixel_nm, (width_um, rows * pixel_nm * 1e-3), is_bright, " and ".join(notes)
+    )
 
 
 def _banner(levels: Array) -> int:

@@ -189,7 +189,7 @@ class Monolayer:
         return self.correction in MEAN_FIELDS
 
     @cached_property
-    def _alone(self) -> tuple[ParticleOnStack, ...]:
+    def _single_particles(self) -> tuple[ParticleOnStack, ...]:
         """The particles, each alone on the stack."""
         return tuple(
             ParticleOnStack(self.surface, p.centre_nm, p.t_matrix, min(self.mmax, p.lmax), p.cut)
@@ -200,15 +200,17 @@ class Monolayer:
     def spheres(self) -> tuple[ParticleOnStack, ...]:
         """The particles on the stack; with the ladder including the reflection by neighbours."""
         if self.correction != LADDER:
-            return self._alone
+            return self._single_particles
         back = self.modes.back
-        return tuple(dataclasses.replace(s, neighbours=azimuthal_blocks(back, s.lmax, s.mmax)) for s in self._alone)
+        return tuple(
+            dataclasses.replace(s, neighbours=azimuthal_blocks(back, s.lmax, s.mmax)) for s in self._single_particles
+        )
 
     @cached_property
     def modes(self) -> Modes:
         """The ladder modes."""
-        order = min(LADDER_ORDER, *(s.lmax for s in self._alone))
-        dressed = np.stack([spread_blocks(s.dressed, multipole_index(order)) for s in self._alone])
+        order = min(LADDER_ORDER, *(s.lmax for s in self._single_particles))
+        dressed = np.stack([spread_blocks(s.dressed, multipole_index(order)) for s in self._single_particles])
         return Modes.build(self.surface, self.mean_centre_nm, self.structure, dressed, self.shares)
 
     @cached_property

@@ -571,8 +571,8 @@ def fit_ratio(patterns: list[dict[Block, Sums]]) -> tuple[Ratio, Array]:
         system = normal + np.eye(len(normal)) * 2.0 * float(np.mean([s.noise for s in sums])) / PRIOR**2
         total = np.linalg.solve(system, rest.sum(axis=0))
         # estimates from single patterns: their mean is the total estimate, their spread its error
-        left = np.stack([r - s.normal @ total for r, s in zip(rest, sums)])
-        coefficients[block] = total + count * np.linalg.solve(system, (left - left.mean(axis=0)).T).T
+        residuals = np.stack([r - s.normal @ total for r, s in zip(rest, sums)])
+        coefficients[block] = total + count * np.linalg.solve(system, (residuals - residuals.mean(axis=0)).T).T
     ratio = Ratio(coefficients)
     return ratio, _errors(ratio, patterns, shares)
 
@@ -596,5 +596,5 @@ def _errors(ratio: Ratio, patterns: list[dict[Block, Sums]], shares: dict[Block,
     observed = 1.0 + (observed - model) / base
     level = np.maximum(fitted.mean(axis=0), 1e-3)
     noise = (observed - fitted).var(axis=0, ddof=1) / count
-    left_open = np.maximum((observed.mean(axis=0) - level) ** 2 - noise, 0.0)
-    return np.asarray(np.sqrt(fitted.var(axis=0, ddof=1) / count + left_open) / level)
+    residual = np.maximum((observed.mean(axis=0) - level) ** 2 - noise, 0.0)
+    return np.asarray(np.sqrt(fitted.var(axis=0, ddof=1) / count + residual) / level)

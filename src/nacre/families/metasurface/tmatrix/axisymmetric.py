@@ -89,7 +89,7 @@ class AxialTMatrices:
         material_index: `[wavelength]`, particle; None if unknown or for several materials.
         turn_loss: scattered power share that depends on the rotation about the axis and is not in the blocks.
         shape: "sphere", "spheroid" or "cylinder", "" for others.
-        whole: full T over all m, `[wavelength, n, n']`, see `full_tmatrix`, for aligned particles without rotational
+        full: full T over all m, `[wavelength, n, n']`, see `full_tmatrix`, for aligned particles without rotational
             symmetry, whose rotational average the blocks are; else None.
     """
 
@@ -103,7 +103,7 @@ class AxialTMatrices:
     material_index: ComplexArray | None = None
     turn_loss: float = 0.0
     shape: str = ""
-    whole: ComplexArray | None = None
+    full: ComplexArray | None = None
 
     @property
     def lmax(self) -> int:
@@ -131,7 +131,7 @@ class AxialTMatrices:
         x = float(np.interp(wavelength_nm, known, np.arange(len(known))))
         start = min(int(x), len(known) - 1)
         end = min(start + 1, len(known) - 1)
-        known_t = self.whole if is_full and self.whole is not None else self.blocks
+        known_t = self.full if is_full and self.full is not None else self.blocks
         return np.asarray(known_t[start] + (x - start) * (known_t[end] - known_t[start]))
 
 
@@ -231,7 +231,7 @@ class TabulatedBody(Body):
     @property
     def is_aligned(self) -> bool:
         """Whether the full T-matrix is used and not its rotational average."""
-        return self.known.whole is not None
+        return self.known.full is not None
 
     @property
     def name(self) -> str:  # type: ignore[override]  # read only, as all of a frozen dataclass

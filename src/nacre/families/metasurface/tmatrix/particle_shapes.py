@@ -82,7 +82,7 @@ def locate(panel, s):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, error_model="numpy")
-def _apart(panel, s, step):  # type: ignore[no-untyped-def]  # numba
+def _separation(panel, s, step):  # type: ignore[no-untyped-def]  # numba
     """Return rho and z at s + step minus those at s, without cancellation for small steps."""
     if panel[0] == 0.0:
         return 0.5 * (panel[3] - panel[1]) * step, 0.5 * (panel[4] - panel[2]) * step
@@ -163,7 +163,7 @@ def _add(target, panel, s, step, weight, sign, waves, degree, rules, modal, work
     z_s, u_z = sign * z_s, sign * u_z
     dr, dz = rho - rho_s, z - z_s
     if step != 0.0:  # the normal distance is quadratic in the step, so every digit counts
-        dr, dz = _apart(panel, target[4], step)
+        dr, dz = _separation(panel, target[4], step)
         dr, dz = -dr, -dz
     _modes(rho, rho_s, dr * dr + dz * dz, waves, rules[0], rules[1], modal)
     shapes(s, degree, work[0], work[1], work[2])

@@ -51,12 +51,12 @@ class StackReflection:
             risen, fallen: R_a R_b with the phases for a wave to another height; default R_a R_b.
         """
         both = below * above
-        left = 1.0 - both
+        rest = 1.0 - both
         return cls(
-            below / left,
-            above / left,
-            (both if risen is None else risen) / left,
-            (both if fallen is None else fallen) / left,
+            below / rest,
+            above / rest,
+            (both if risen is None else risen) / rest,
+            (both if fallen is None else fallen) / rest,
         )
 
     def pairs(self, b: ComplexArray) -> list[tuple[ComplexArray, ComplexArray]]:

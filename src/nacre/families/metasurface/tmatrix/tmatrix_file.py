@@ -162,7 +162,7 @@ def read_several(paths: Sequence[Path], is_aligned: bool = False) -> axisymmetri
             raise TMatrixFileError(f"holds {path.name} and {paths[0].name}, which are of different particles")
         if part.lmax != first.lmax:
             raise TMatrixFileError(f"holds {path.name} and {paths[0].name}, which end at different multipole orders")
-        if (part.whole is None) != (first.whole is None):
+        if (part.full is None) != (first.full is None):
             raise TMatrixFileError(f"holds {path.name} and {paths[0].name}, of which one is axisymmetric")
     wavelengths = np.concatenate([part.wavelengths_nm for part in parts])
     order = np.argsort(wavelengths)
@@ -175,7 +175,7 @@ def read_several(paths: Sequence[Path], is_aligned: bool = False) -> axisymmetri
 
     return replace(
         first, wavelengths_nm=wavelengths[order], blocks=joined("blocks"), ambient_index=joined("ambient_index"),
-        material_index=joined("material_index"), whole=joined("whole"), turn_loss=max(p.turn_loss for p in parts),
+        material_index=joined("material_index"), full=joined("full"), turn_loss=max(p.turn_loss for p in parts),
     )  # fmt: skip
 
 
@@ -201,7 +201,7 @@ def _read(file: h5py.File, is_aligned: bool) -> axisymmetric.AxialTMatrices:
         name or Path(file.filename).name,
         **geometry,
         shape=shape,
-        whole=full,
+        full=full,
         material_index=None if epsilon is None else np.sqrt(epsilon),
         turn_loss=turn_loss,
     )
@@ -387,20 +387,20 @@ def write_tmatrices(
     )
     place = tau * lmax + l - 1
     signs = np.where((m[:, None] < 0) & (tau[:, None] != tau), -1.0, 1.0)
-    if known.whole is None:
+    if known.full is None:
         full = np.where(m[:, None] == m, known.blocks[:, np.abs(m)[:, None], place[:, None], place] * signs, 0.0)
     else:
         index = axisymmetric.multipole_index(lmax)
         file_order = np.lexsort((1 - index.tau, index.m, index.l))  # sorted by l, then m, electric before magnetic
         sign = axisymmetric.condon_shortley_signs(index)[file_order]
-        full = known.whole[:, file_order[:, None], file_order] * sign[:, None] * sign
+        full = known.full[:, file_order[:, None], file_order] * sign[:, None] * sign
     with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs.update(
             {
                 "name": known.name,
                 "description": description,
                 "storage_format_version": "v1",
-                "keywords": "passive, reciprocal" if known.whole is not None else "czinfinity, passive, reciprocal",
+                "keywords": "passive, reciprocal" if known.full is not None else "czinfinity, passive, reciprocal",
             }
         )
         file.create_dataset("tmatrix", data=full, compression="gzip")
