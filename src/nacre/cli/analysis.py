@@ -402,18 +402,10 @@ def ellipsometry(
     angles, grid = common.angles(angles_deg), common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
     result = compute_ellipsometry(material, angles, grid, azimuth_deg)
-    text = _csv(result.wavelengths_nm, result.angles_deg, result.columns())
+    names = ("wavelength_nm", "angle_of_incidence_deg")
+    text = common.spectrum_csv(names, result.wavelengths_nm, result.angles_deg, result.columns(), 9)
     document = {**ellipsometry_document(result), "provenance": recipe_provenance(material)}
     common.answer(document, text, output, as_json)
-
-
-def _csv(wavelengths_nm: np.ndarray, angles_deg: np.ndarray, columns: dict[str, np.ndarray]) -> str:
-    lines = ["wavelength_nm,angle_of_incidence_deg," + ",".join(columns)]
-    for a, angle in enumerate(angles_deg):
-        for w, wavelength in enumerate(wavelengths_nm):
-            values = ",".join(f"{value[a, w]:.9g}" for value in columns.values())
-            lines.append(f"{wavelength:.9g},{angle:.9g},{values}")
-    return "\n".join(lines) + "\n"
 
 
 # The commands `fit`, parameters of a recipe from measurements, and `diagnose`, the faults of a coating run.

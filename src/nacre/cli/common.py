@@ -259,6 +259,26 @@ def stopped_line() -> str:
     return STOPPED if stored.is_set() else STOPPED_EARLY
 
 
+def spectrum_csv(
+    names: Sequence[str], wavelengths_nm: NDArray[Any], angles_deg: NDArray[Any], columns: Mapping[str, NDArray[Any]],
+    digits: int, stated: Sequence[str] = (),
+) -> str:  # fmt: skip
+    """Return a table with a row for each angle and wavelength.
+
+    Args:
+        names: headings before those of the columns.
+        columns: `[angle, wavelength]` by heading.
+        digits: of wavelengths and angles.
+        stated: cells behind the angle that are equal in all rows.
+    """
+    lines = [",".join([*names, *columns])]
+    for a, angle in enumerate(angles_deg):
+        for w, wavelength in enumerate(wavelengths_nm):
+            values = [f"{value[a, w]:.9g}" for value in columns.values()]
+            lines.append(",".join([f"{wavelength:.{digits}g}", f"{angle:.{digits}g}", *stated, *values]))
+    return "\n".join(lines) + "\n"
+
+
 def note(message: str) -> None:
     """Print one line on stderr, since stdout is reserved for results; a closed stream is ignored."""
     with contextlib.suppress(OSError, ValueError):

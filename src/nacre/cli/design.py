@@ -214,36 +214,34 @@ def gamut(
     material = common.load_material(recipe, changes)
     with common.progress_bar("gamut") as bar:
         task = bar.add_task("gamut", total=search["points"], info="")
-        result = find_gamut(
+        area = find_gamut(
             material, parameters, geometry, **search,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )  # fmt: skip
     if path is not None:
         if path.suffix == ".json":
-            write_text(path, json.dumps(result.document(), indent=1) + "\n")
+            write_text(path, json.dumps(area.document(), indent=1) + "\n")
         elif path.suffix == ".html":
-            write_text(path, gamut_page(result, material.name))
+            write_text(path, gamut_page(area, material.name))
         else:
             from nacre.plot import save_figure
 
-            save_figure(
-                gamut_chart(result, title=f"{material.name}, {result.geometry}"), path, {"recipe": material.text}
-            )
+            save_figure(gamut_chart(area, title=f"{material.name}, {area.geometry}"), path, {"recipe": material.text})
     if as_json:
-        click.echo(json.dumps(result.document()))
+        click.echo(json.dumps(area.document()))
     else:
-        low, high = result.lab.min(axis=0), result.lab.max(axis=0)
-        click.echo(f"{material.name}: {result.geometry}, {search['illuminant']}, {search['observer']} observer, "
-                   f"{len(result.lab)} points")  # fmt: skip
+        low, high = area.lab.min(axis=0), area.lab.max(axis=0)
+        click.echo(f"{material.name}: {area.geometry}, {search['illuminant']}, {search['observer']} observer, "
+                   f"{len(area.lab)} points")  # fmt: skip
         click.echo("  " + ", ".join(f"{n} {a:.0f} to {b:.0f}" for n, a, b in zip(("L*", "a*", "b*"), low, high)))
-        click.echo(f"  within dE00 {search['tolerance']:g}: {100 * result.share_of_srgb:.1f} % of the colours of sRGB, "
-                   f"{100 * result.share_of_optimal:.1f} % of the optimal colours")  # fmt: skip
-        tried = len(result.lab) + result.failed
-        points = search["points"] if result.possible is None else result.possible
+        click.echo(f"  within dE00 {search['tolerance']:g}: {100 * area.share_of_srgb:.1f} % of the colours of sRGB, "
+                   f"{100 * area.share_of_optimal:.1f} % of the optimal colours")  # fmt: skip
+        tried = len(area.lab) + area.failed
+        points = search["points"] if area.possible is None else area.possible
         if tried < points:
             click.echo(f"  stopped after {search['seconds']:g} s: {tried} of {points} points; --seconds gives it more")
-        if result.failed:
-            click.echo(f"  {result.failed} points could not be computed")
+        if area.failed:
+            click.echo(f"  {area.failed} points could not be computed")
     if path is not None:
         common.note(str(path))
 
@@ -424,10 +422,8 @@ def _rematch(task: Any, batch: str, made: Path, answer: int, as_json: bool) -> N
     measured = {row.name: row.lab[0] for row in read_colours(batch, 1, light)}
     result = rematch(task, amounts, measured)
     if as_json:
-        document = result.__dict__ | {
-            "de00_before": result.de00_before.tolist(),
-            "de00_after": result.de00_after.tolist(),
-        }
+        differences = {name: getattr(result, name).tolist() for name in ("de00_before", "de00_after")}
+        document = result.__dict__ | differences
         click.echo(json.dumps(document))
         return
     for name, share in result.batch.items():

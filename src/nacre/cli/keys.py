@@ -98,10 +98,10 @@ def editor_schema(name: str | None = None) -> dict[str, Any]:
         NacreError: the file type does not exist.
     """
     if name is not None:
-        file_type = kind(name)
-        return json_schema(file_type.models, TextureSpec, is_recipe=file_type.is_recipe)
+        file = kind(name)
+        return json_schema(file.models, TextureSpec, is_recipe=file.is_recipe)
     files = [kind(other) for other in (*family_names(), "relief-design", "design", "sweep")]
-    return one_of_files({file_type.name: editor_schema(file_type.name) for file_type in files})
+    return one_of_files({file.name: editor_schema(file.name) for file in files})
 
 
 @click.command()
@@ -140,19 +140,19 @@ def _overview() -> Iterator[str]:
     yield "                                for editors that complete TOML"
 
 
-def _all(file_type: Kind) -> Iterator[str]:
-    yield from _wrapped(f"{file_type.name}: {one_sentence(file_type.model)}", "")
-    example = file_type.model.example or {}
+def _all(file: Kind) -> Iterator[str]:
+    yield from _wrapped(f"{file.name}: {one_sentence(file.model)}", "")
+    example = file.model.example or {}
     if example:
         yield ""
         blocks = [list(_snippet(key, value)) for key, value in example.items()]
         yield from (line for block in sorted(blocks, key=lambda block: "[" in block[0][:3]) for line in block)
-    if file_type.model.forms:
-        yield from _forms(file_type.model)
-    for model in file_type.models:
+    if file.model.forms:
+        yield from _forms(file.model)
+    for model in file.models:
         for place, table in tables_below(model):
-            yield from _table(file_type, place, table)
-    for shared in dict.fromkeys(inner for model in file_type.models for inner in shared_tables(model)):
+            yield from _table(file, place, table)
+    for shared in dict.fromkeys(inner for model in file.models for inner in shared_tables(model)):
         name = next((name for name, model in SHARED.items() if model is shared), "")
         yield ""
         article = "an" if shared.noun[0] in "aeiou" else "a"
@@ -160,40 +160,39 @@ def _all(file_type: Kind) -> Iterator[str]:
         yield from _forms(shared)
 
 
-def _one(file_type: Kind, place: str) -> Iterator[str]:
-    written, key = find_key(file_type.models, place, file_type.name)
-    yield f"{file_type.name}.{written}"
+def _one(file: Kind, place: str) -> Iterator[str]:
+    written, key = find_key(file.models, place, file.name)
+    yield f"{file.name}.{written}"
     yield from _wrapped(key.meaning, "  ")
     yield ""
     if key.unit:
         yield from _hanging("  unit     ", key.unit)
-    yield from _hanging("  value    ", value_text(file_type, written, key))
-    yield from _hanging("  default  ", default_text(file_type, written, key).removeprefix("default "))
+    yield from _hanging("  value    ", value_text(file, written, key))
+    yield from _hanging("  default  ", default_text(file, written, key).removeprefix("default "))
     if key.examples:
         yield ""
-        for text in [*key.examples, *TextureSpec.forms[1:2] * (file_type.varies(written) and not key.tables)]:
+        for text in [*key.examples, *TextureSpec.forms[1:2] * (file.varies(written) and not key.tables)]:
             yield from _snippet(written, tomllib.loads(f"value = {text}")["value"])
     for table in key.tables:
         for below, inner in tables_below(table):
-            yield from _table(file_type, f"{written}{'[]' if key.is_list else ''}.{below}".rstrip("."), inner)
+            yield from _table(file, f"{written}{'[]' if key.is_list else ''}.{below}".rstrip("."), inner)
 
 
-def _table(file_type: Kind, place: str, table: type[RecipeModel]) -> Iterator[str]:
+def _table(file: Kind, place: str, table: type[RecipeModel]) -> Iterator[str]:
     yield ""
     if table.noun:
         yield from _hanging(f"{table.noun}  ", one_sentence(table), indent="    ")
     elif place:
-        yield from _hanging(f"{file_type.name}.{place}  ", one_sentence(table), indent="    ")
+        yield from _hanging(f"{file.name}.{place}  ", one_sentence(table), indent="    ")
     if table.one_of:
         words = ", ".join(word.replace("|", " and/or ") for word in table.one_of)
         yield from _wrapped(f"exactly one of: {words}", "    ")
     for key in keys_of(table):
         head = f"  {key.name}"
-        value = value_text(file_type, f"{place}.{key.name}".lstrip("."), key)
+        value = value_text(file, f"{place}.{key.name}".lstrip("."), key)
         unit = f" {key.unit.partition(';')[0]}" if key.unit else ""
         yield from _hanging(
-            f"{head:<24}  ",
-            f"{value}{f' in{unit}' if unit else ''}; {default_text(file_type, f'{place}.{key.name}', key)}",
+            f"{head:<24}  ", f"{value}{f' in{unit}' if unit else ''}; {default_text(file, f'{place}.{key.name}', key)}"
         )
         yield from _wrapped(key.meaning, " " * 26)
 
@@ -203,15 +202,15 @@ def _forms(model: type[RecipeModel]) -> Iterator[str]:
         yield from _wrapped(form, "  ")
 
 
-def value_text(file_type: Kind, place: str, key: Key) -> str:
+def value_text(file: Kind, place: str, key: Key) -> str:
     """Return type and range of a key in words."""
-    return f"{key.value} or texture" if file_type.varies(place) and "texture" not in key.value else key.value
+    return f"{key.value} or texture" if file.varies(place) and "texture" not in key.value else key.value
 
 
-def default_text(file_type: Kind, place: str, key: Key) -> str:
+def default_text(file: Kind, place: str, key: Key) -> str:
     """Return the default of a key in words."""
     # `family` identifies a recipe and must be given
-    if key.default is None or (file_type.is_recipe and place.lstrip(".") == "family"):
+    if key.default is None or (file.is_recipe and place.lstrip(".") == "family"):
         return MUST
     return f"default {key.default}" if key.default else "may be left out"
 
@@ -233,27 +232,27 @@ def _hanging(head: str, text: str, indent: str | None = None) -> list[str]:
     return textwrap.wrap(head + text, WIDTH, subsequent_indent=below, break_long_words=False, break_on_hyphens=False)
 
 
-def _chosen(file_type: Kind, place: str) -> Iterator[tuple[Kind, str, Key]]:
+def _chosen(file: Kind, place: str) -> Iterator[tuple[Kind, str, Key]]:
     """Yield a key and all keys below it, or all keys of a file type."""
-    models: Sequence[type[RecipeModel]] = file_type.models
+    models: Sequence[type[RecipeModel]] = file.models
     start = ""
     if place:
-        written, key = find_key(file_type.models, place, file_type.name)
-        yield file_type, written, key
+        written, key = find_key(file.models, place, file.name)
+        yield file, written, key
         models, start = key.tables, f"{written}{'[]' if key.is_list else ''}"
     for model in models:
         for below, table in tables_below(model):
             for key in keys_of(table):
-                yield file_type, ".".join(part for part in (start, below, key.name) if part), key
+                yield file, ".".join(part for part in (start, below, key.name) if part), key
 
 
-def _record(file_type: Kind, place: str, key: Key) -> dict[str, object]:
+def _record(file: Kind, place: str, key: Key) -> dict[str, object]:
     return {
         "path": place,
         "meaning": key.meaning,
         "unit": key.unit,
-        "value": value_text(file_type, place, key),
-        "required": default_text(file_type, place, key) == MUST,
+        "value": value_text(file, place, key),
+        "required": default_text(file, place, key) == MUST,
         "default": key.default,
         "snippets": list(key.snippet),
     }

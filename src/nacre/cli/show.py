@@ -63,7 +63,10 @@ def spectrum(
         **{name: value.tolist() for name, value in (parts | result.matrices()).items()},
     }
     document["provenance"] = recipe_provenance(material)
-    text_csv = _csv(result.wavelengths_nm, angles, parts | _elements(result.matrices()), polarisation)
+    stated = [] if polarisation in ("both", "mueller") else [polarisation]
+    names = ["wavelength_nm", "angle_deg", *["polarisation"] * len(stated)]
+    columns = parts | _elements(result.matrices())
+    text_csv = common.spectrum_csv(names, result.wavelengths_nm, angles, columns, 6, stated)
     common.answer(document, text_csv, output, as_json)
 
 
@@ -138,19 +141,6 @@ def _elements(matrices: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         f"{prefix[name]}m{i + 1}{j + 1}": value[..., i, j]
         for name, value in matrices.items() for i in range(4) for j in range(4)
     }  # fmt: skip
-
-
-def _csv(
-    wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np.ndarray], polarisation: str = "both"
-) -> str:
-    """Return a spectrum's table; for polarised light it has a column with the polarisation."""
-    stated = [] if polarisation in ("both", "mueller") else [polarisation]
-    lines = [",".join(["wavelength_nm", "angle_deg", *(["polarisation"] if stated else []), *parts])]
-    for a, angle in enumerate(angles_deg):
-        for w, wavelength in enumerate(wavelengths_nm):
-            row = [f"{wavelength:.6g}", f"{angle:.6g}", *stated, *(f"{value[a, w]:.9g}" for value in parts.values())]
-            lines.append(",".join(row))
-    return "\n".join(lines) + "\n"
 
 
 @click.command()

@@ -47,14 +47,9 @@ class Process:
         return cls(_host(), os.getpid(), _started(os.getpid()) or 0)
 
     @property
-    def is_here(self) -> bool:
-        """Whether the process belongs to this machine or container."""
-        return self.host == _host()
-
-    @property
     def is_dead(self) -> bool:
-        """Whether the process has ended; always False for another machine."""
-        return self.is_here and _started(self.pid) not in (self.started, 0)
+        """Whether the process has ended; always False for another machine or container."""
+        return self.host == _host() and _started(self.pid) not in (self.started, 0)
 
 
 def _host() -> str:

@@ -259,10 +259,8 @@ def _gltf_film(material: Mapping[str, Any], remarks: list[str], path: Path, docu
         thickness = 0.5 * (thinnest + thickest)
         image = green_channel(path, document, film[THICKNESS_TEXTURE])
         if image is None:
-            remark = (
-                f"varies from {thinnest:g} to {thickest:g} nm, but is not in the file or beside it; {thickness:g} nm"
-            )
-            remarks.append(f"the thickness texture {remark} was taken")
+            remarks.append(f"the thickness texture varies from {thinnest:g} to {thickest:g} nm, but is not in the file "
+                           f"or beside it; {thickness:g} nm was taken")  # fmt: skip
         else:
             not_read.remove(THICKNESS_TEXTURE)
             varied = ThicknessMap(thinnest, thickest, image)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import uuid
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -138,19 +139,18 @@ def _on_turns(
     turns = np.unique(turn)
     grids = [_Grid.of(points[turn == t], values[turn == t], is_folded=False) for t in turns]
     first = grids[0]
-    for grid in grids:
-        if first is None or grid is None or grid.is_signed != first.is_signed or not all(
-            np.array_equal(a, b) for a, b in zip(grid.axes, first.axes, strict=True)
-        ):  # fmt: skip
-            raise UnsupportedError(
-                f"{name}: is anisotropic, {remarks[-1]}, and the directions differ between the azimuths of the light; "
-                "a table needs the same theta_i, theta_o and azimuth differences for each"
-            )
+    problem = UnsupportedError(
+        f"{name}: is anisotropic, {remarks[-1]}, and the directions differ between the azimuths of the light; "
+        "a table needs the same theta_i, theta_o and azimuth differences for each"
+    )
     lobes = []
     for grid in grids:
-        grid_remarks: list[str] = []
-        if grid is not None:
-            lobes.append(_on_grid(grid, wavelengths_nm, grid_remarks)[0])
+        if first is None or grid is None or grid.is_signed != first.is_signed:
+            raise problem
+        if not all(np.array_equal(a, b) for a, b in zip(grid.axes, first.axes, strict=True)):
+            raise problem
+        lobe, grid_remarks = _on_grid(grid, wavelengths_nm, [])
+        lobes.append(lobe)
         remarks += [line for line in grid_remarks if line not in remarks]
     nodes, which, words = periodic_turns(turns)
     table = np.stack([lobe.values for lobe in lobes])[which]
@@ -418,10 +418,12 @@ def write_gonio_csv(path: str | Path, data: GonioData, comment: str = "") -> Non
     table[:, :4] = np.repeat(data.angles_deg, waves, axis=0)
     table[:, 4] = np.tile(data.wavelengths_nm, pairs)
     table[:, 5] = data.values.ravel()
+    _write_rows(path, [*(f"# {line}" for line in comment.splitlines()), ",".join(COLUMNS)], table)
+
+
+def _write_rows(path: str | Path, head: Sequence[str], table: Array) -> None:
     with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
-        for line in comment.splitlines():
-            file.write(f"# {line}\n")
-        file.write(",".join(COLUMNS) + "\n")
+        file.writelines(f"{line}\n" for line in head)
         np.savetxt(file, table, fmt=f"%.{ROUND_TRIP_DIGITS}g", delimiter=",")
 
 
@@ -494,11 +496,8 @@ def write_astm(path: str | Path, data: GonioData, comment: str = "") -> None:
     """
     names = ["theta_i", "phi_i", "theta_s", "phi_s", *(f"{w:.9g}nm" for w in data.wavelengths_nm)]
     table = np.concatenate([np.radians(data.angles_deg), data.values], axis=1)
-    with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
-        for line in comment.splitlines():
-            file.write(f"COMMENT {line}\n")
-        file.write(f"NUM_POINTS {len(table)}\nVARS={','.join(names)}\n")
-        np.savetxt(file, table, fmt=f"%.{ROUND_TRIP_DIGITS}g", delimiter=",")
+    comments = [f"COMMENT {line}" for line in comment.splitlines()]
+    _write_rows(path, [*comments, f"NUM_POINTS {len(table)}", f"VARS={','.join(names)}"], table)
 
 
 def write_brdf_json(path: str | Path, data: GonioData, name: str, comment: str = "") -> None:

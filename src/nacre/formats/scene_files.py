@@ -309,18 +309,16 @@ def _shader(node: ET.Element, owners: dict[str, str], base: str, space: str, ind
     lines = ["", f'{indent}def Shader "{node.get("name")}"', indent + "{"]
     lines.append(f'{indent}    uniform token info:id = "{definition}"')
     for entry in node.findall("input"):
-        declaration = f"{indent}    {TYPES[entry.get('type', '')]} inputs:{entry.get('name')}"
+        port = f"{indent}    {TYPES[entry.get('type', '')]} inputs:{entry.get('name')}"
         source = entry.get("nodename")
         if entry.get("nodegraph"):
-            lines.append(
-                f"{declaration}.connect = <{base}/{entry.get('nodegraph')}.outputs:{entry.get('output', 'out')}>"
-            )
+            lines.append(f"{port}.connect = <{base}/{entry.get('nodegraph')}.outputs:{entry.get('output', 'out')}>")
         elif source:
-            lines.append(f"{declaration}.connect = <{owners.get(source, base)}/{source}.outputs:out>")
+            lines.append(f"{port}.connect = <{owners.get(source, base)}/{source}.outputs:out>")
         else:
             is_colour = "color3" in (entry.get("type"), output if entry.get("type") == "filename" else "")
             meaning = f" ( colorSpace = {_quoted(entry.get('colorspace', space))} )" if is_colour and space else ""
-            lines.append(f"{declaration} = {_value(entry.get('type', ''), entry.get('value', ''))}{meaning}")
+            lines.append(f"{port} = {_value(entry.get('type', ''), entry.get('value', ''))}{meaning}")
     lines.append(f"{indent}    {TYPES[output]} outputs:out")
     return [*lines, indent + "}"]
 

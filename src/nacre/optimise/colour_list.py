@@ -19,7 +19,7 @@ from nacre.core.files import named, size_of
 from nacre.light import lch_to_lab
 from nacre.optimise.targets import plausible
 from nacre.readers.colour_tables import check_scale, named_lab
-from nacre.readers.columns import as_float, knows
+from nacre.readers.columns import as_float
 from nacre.readers.headings import Meaning, light_above, meanings
 from nacre.readers.measurement import Measurement
 from nacre.readers.registry import POSSIBLE, open_file, recognise
@@ -198,7 +198,7 @@ def _headed(path: Path, text: str) -> TextTable | None:
     first = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
     if any(as_float(cell) is not None for cell in split(first, find_delimiter(text.splitlines()))):
         return None
-    tables = parse_tables(text, path, knows).tables
+    tables = parse_tables(text, path).tables
     return tables[0] if tables and tables[0].headings else None
 
 

@@ -22,11 +22,6 @@ MOST_RADIANS = np.pi / 2 * 1.001
 MAX_FACTOR = 2.0  # a larger number without a unit is not a factor
 
 
-def knows(heading: str, unit: str) -> bool:
-    """Whether the vocabulary has a heading; see `text_table.parse_tables`."""
-    return bool(meanings(heading, unit))
-
-
 def load_tables(path: Path) -> TableFile:
     """Read the tables of a text file with the vocabulary of `headings`.
 
@@ -38,7 +33,7 @@ def load_tables(path: Path) -> TableFile:
 
 def tables_of(text: str, path: Path) -> TableFile:
     """Read a text's tables; see `load_tables`."""
-    file = parse_tables(text, path, knows)
+    file = parse_tables(text, path)
     if not file.tables:
         last_line = f"; its last line is {file.trailing[-1]!r:.60}" if file.trailing else ""
         raise NacreError(f"{path}: holds no rows of numbers{last_line}")

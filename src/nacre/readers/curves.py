@@ -133,18 +133,16 @@ def spectrum(
     """
     options = replace(options or ReadOptions(), expects="spectrum", assumed_quantity=quantities[0])
     try:
-        measurements = open_file(path, options)
+        sets = open_file(path, options)
     except AmbiguousFileError as error:
         if error.option != "quantity":
             raise
-        measurements = open_file(path, replace(options, quantity=quantities[0]))
-    spectra = [each for each in measurements if each.kind == "spectrum"]
+        sets = open_file(path, replace(options, quantity=quantities[0]))
+    spectra = [each for each in sets if each.kind == "spectrum"]
     usable = [(each, quantity) for each in spectra for quantity in quantities if quantity in each.data]
     if not usable:
-        names = sorted(
-            {name for each in measurements for name in each.data if not name.startswith(("wavelength", "angle"))}
-        )
-        raise NacreError(f"{path}: holds {', '.join(names)[:80]} ({measurements[0].kind}), no {quantities[0]}")
+        names = sorted({name for each in sets for name in each.data if not name.startswith(("wavelength", "angle"))})
+        raise NacreError(f"{path}: holds {', '.join(names)[:80]} ({sets[0].kind}), no {quantities[0]}")
     visible = [pair for pair in usable if spans_colour(pair[0].data["wavelength_nm"])]
     if len(usable) > 1 and len(visible) == 1 and options.spectrum is None:
         each, quantity = visible[0]

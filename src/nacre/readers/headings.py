@@ -136,13 +136,11 @@ def meanings(heading: str, unit: str = "") -> tuple[Meaning, ...]:
     if own_unit in _BARE_UNITS and len(text) > 1:
         return (Meaning(_BARE_UNITS[own_unit], own_unit),) if unit in ("", own_unit) else ()
     unbracketed = _BRACKET.sub(r" \1 ", text)
-    candidates = (_of_core(unbracketed, Meaning("", unit)) if _is_function(text) else ()) or _of_bracketed(text, unit)
-    if text[:1] == "w" and any(
-        meaning.quantity == "angular_frequency" for meaning in candidates
-    ):  # "w[nm]" names no time
-        spoken = "wavelength" if candidates[0].unit in ("nm", "um", "angstrom") else "angular_frequency"
-        candidates = tuple(meaning for meaning in candidates if meaning.quantity == spoken)
-    return _checked(candidates)
+    parsed = (_of_core(unbracketed, Meaning("", unit)) if _is_function(text) else ()) or _of_bracketed(text, unit)
+    if text[:1] == "w" and any(one.quantity == "angular_frequency" for one in parsed):  # "w[nm]" names no time
+        spoken = "wavelength" if parsed[0].unit in ("nm", "um", "angstrom") else "angular_frequency"
+        parsed = tuple(meaning for meaning in parsed if meaning.quantity == spoken)
+    return _checked(parsed)
 
 
 def _is_function(text: str) -> bool:
@@ -173,10 +171,8 @@ def _of_bracketed(text: str, unit: str) -> tuple[Meaning, ...]:
         if stated is None:
             return ()
         base = stated
-    candidates = _of_core(core, base)
-    return (
-        candidates if confirmed is None else tuple(meaning for meaning in candidates if meaning.quantity in confirmed)
-    )
+    parsed = _of_core(core, base)
+    return tuple(meaning for meaning in parsed if confirmed is None or meaning.quantity in confirmed)
 
 
 def _qualified(content: str, base: Meaning) -> Meaning | None:

@@ -8,7 +8,7 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from nacre.core.errors import NacreError
 from nacre.core.files import reading, size_of
 from nacre.core.machine import check_memory
+from nacre.readers.headings import meanings
 from nacre.readers.measurement import utf_16_order
 from nacre.readers.units import Floats, normal, parse_unit
 
@@ -271,21 +272,21 @@ class TableFile:
     left_out: tuple[str, ...] = ()
 
 
-def parse_tables(text: str, path: Path, is_known: Callable[[str, str], bool]) -> TableFile:
+def parse_tables(text: str, path: Path) -> TableFile:
     """Find the tables in a text.
+
+    A line above the numbers is a line of headings if its cells are in the vocabulary of `headings`, else a title.
 
     Args:
         text: the file's text.
         path: the file, for messages.
-        is_known: whether a heading with a unit of the row below ("" without) is in the vocabulary; decides whether a
-            line above the numbers is a line of headings or a title.
 
     Raises:
         NacreError: rows of different width.
     """
     raw = [line.replace("\f", " ").replace("\v", " ") for line in LINE_END.split(text)]
     delimiter = find_delimiter(raw)
-    lines = _classified(raw, delimiter, is_known)
+    lines = _classified(raw, delimiter)
     above: list[_Line] = []
     rows: list[_Line] = []
     groups: list[tuple[list[_Line], list[_Line]]] = []
@@ -298,7 +299,7 @@ def parse_tables(text: str, path: Path, is_known: Callable[[str, str], bool]) ->
                 above, rows = [], []
             above.append(line)
         # a remark between rows does not end a block
-        elif _is_heading_remark(line, delimiter, is_known, len(rows[-1].cells)):
+        elif _is_heading_remark(line, delimiter, len(rows[-1].cells)):
             groups.append((above, rows))
             above, rows = [line], []
     trailing: list[_Line] = above if not rows else []
@@ -306,7 +307,7 @@ def parse_tables(text: str, path: Path, is_known: Callable[[str, str], bool]) ->
         groups.append((above, rows))
     groups, left_out = _without_stray_numbers(groups)
     left_out += [_no_row(line) for line in trailing if any(_is_number(cell) for cell in line.cells[1:])]
-    tables = [_table(path, heading_lines, data, delimiter, is_known) for heading_lines, data in groups]
+    tables = [_table(path, heading_lines, data, delimiter) for heading_lines, data in groups]
     return TableFile(tables, tuple(line.text.strip() for line in trailing), tuple(left_out))
 
 
@@ -412,7 +413,7 @@ def _is_number(cell: str) -> bool:
     return (value is not None and not math.isnan(value)) or bool(_WITH_UNIT.fullmatch(cell) or _HEX.fullmatch(cell))
 
 
-def _classified(raw: Sequence[str], delimiter: str | None, is_known: Callable[[str, str], bool]) -> list[_Line]:
+def _classified(raw: Sequence[str], delimiter: str | None) -> list[_Line]:
     """Return the lines that are not blank, with their cells, as data, remarks or text."""
     first_is_text: bool | None = None
     lines: list[_Line] = []
@@ -441,7 +442,7 @@ def _classified(raw: Sequence[str], delimiter: str | None, is_known: Callable[[s
     for line in marked:  # "#1;52;-30;28" is a row of a table whose rows begin with names
         cells = split(line.text, delimiter)
         is_name = len(cells) > 1 and not cells[0][1:2].isspace() and _is_data(cells[1:])
-        if is_name and _begins_with_names(lines, first_is_text, is_known):
+        if is_name and _begins_with_names(lines, first_is_text):
             line.cells, line.is_remark, line.is_data = cells, False, True
     return lines
 
@@ -468,13 +469,11 @@ def _starts_with_value(text: str, delimiter: str | None) -> bool:
     return bool(first.lower() in MISSING and first not in ("-", "--", "---")) or bool(_HEX.fullmatch(first))
 
 
-def _begins_with_names(
-    lines: Sequence[_Line], first_is_text: bool | None, is_known: Callable[[str, str], bool]
-) -> bool:
+def _begins_with_names(lines: Sequence[_Line], first_is_text: bool | None) -> bool:
     if first_is_text is not None:
         return first_is_text
     text = next((line for line in lines if not line.is_remark and not line.is_data and len(line.cells) > 1), None)
-    return text is not None and all(is_known(cell, "") for cell in text.cells)
+    return text is not None and all(meanings(cell) for cell in text.cells)
 
 
 def _is_data(cells: Sequence[str]) -> bool:
@@ -500,11 +499,11 @@ def _without_trailing_remark(text: str, delimiter: str | None) -> str:
     return text[:place] if is_behind_numbers else text
 
 
-def _is_heading_remark(line: _Line, delimiter: str | None, is_known: Callable[[str, str], bool], width: int) -> bool:
+def _is_heading_remark(line: _Line, delimiter: str | None, width: int) -> bool:
     """Whether a remark line names the columns."""
     text = line.text.strip().lstrip("#%!;*/'").strip()
     return any(
-        len(cells) == width and sum(is_known(cell, "") for cell in cells) >= min(2, width)
+        len(cells) == width and sum(bool(meanings(cell)) for cell in cells) >= min(2, width)
         for cells in _splits(text, delimiter)
     )
 
@@ -568,16 +567,14 @@ def unit_of(cell: str) -> str:
     return parse_unit(inner) or (parse_unit(inner.split()[0]) if inner.split() else None) or ""
 
 
-def _table(
-    path: Path, above: list[_Line], data: list[_Line], delimiter: str | None, is_known: Callable[[str, str], bool]
-) -> TextTable:
+def _table(path: Path, above: list[_Line], data: list[_Line], delimiter: str | None) -> TextTable:
     if all(line.cells[:1] == [""] for line in data):  # rows that begin with a delimiter
         for line in data:
             line.cells = line.cells[1:]
     width = max(len(line.cells) for line in data)
     while len(data) > 2 and width > 2 and len(data[0].cells) == 1 and (delimiter or " ") not in data[0].text.strip():
         above, data = [*above, data[0]], data[1:]  # a number of the preamble, such as a count
-    headings, units, heading_line, used = _find_headings(above, width, delimiter, is_known)
+    headings, units, heading_line, used = _find_headings(above, width, delimiter)
     if headings and len(headings) < width:
         extra = next(line for line in data if len(line.cells) > len(headings))
         raise NacreError(
@@ -670,9 +667,7 @@ def _check_split_fractions(path: Path, rows: list[list[str]], lines: list[int]) 
             )
 
 
-def _find_headings(
-    above: list[_Line], width: int, delimiter: str | None, is_known: Callable[[str, str], bool]
-) -> tuple[list[str], list[str], int, set[int]]:
+def _find_headings(above: list[_Line], width: int, delimiter: str | None) -> tuple[list[str], list[str], int, set[int]]:
     """Return headings, units, the line of the headings, and the lines used.
 
     The nearest line above the rows that fits is taken: a line of text, or a remark that names columns. A unit row
@@ -692,8 +687,8 @@ def _find_headings(
         if unit_cells and not units and len(unit_cells) <= width + 1 and not _names_columns(unit_cells, above, line):
             units, used = [unit_of(cell) for cell in unit_cells], {line.number}
             continue
-        cells = _heading_cells(text, delimiter, width, is_known, units, is_remark=line.is_remark)
-        if cells is not None and is_apart and not all(is_known(cell, "") for cell in cells):
+        cells = _heading_cells(text, delimiter, width, units, is_remark=line.is_remark)
+        if cells is not None and is_apart and not all(meanings(cell) for cell in cells):
             break  # "Number of Zones" above its number
         is_apart = is_apart or line.is_data
         if cells is not None:
@@ -715,13 +710,7 @@ def _names_columns(cells: list[str], above: list[_Line], line: _Line) -> bool:
 
 
 def _heading_cells(
-    text: str,
-    delimiter: str | None,
-    width: int,
-    is_known: Callable[[str, str], bool],
-    units: list[str],
-    *,
-    is_remark: bool,
+    text: str, delimiter: str | None, width: int, units: list[str], *, is_remark: bool
 ) -> list[str] | None:
     """Return the cells of a line of headings, or None if the line is a title or a remark."""
     best: list[str] | None = None
@@ -731,7 +720,7 @@ def _heading_cells(
             continue
         if any(_without_brackets(c) != c and parse_unit(_without_brackets(c)) is not None for c in cells):
             continue  # "(nm)" apart from its word
-        known = sum(is_known(c, units[i] if i < len(units) else "") for i, c in enumerate(cells) if c)
+        known = sum(bool(meanings(c, units[i] if i < len(units) else "")) for i, c in enumerate(cells) if c)
         fits = len(cells) == width
         if known < len(cells) and cells[0][-1:] in (":", "="):
             continue  # "Date: 01.02.2024"

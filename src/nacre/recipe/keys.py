@@ -372,7 +372,6 @@ def one_of_files(schemas: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         schemas: name of a family, "relief-design", "design" or "sweep" -> its schema.
     """
     definitions: dict[str, Any] = {}
-    choices: list[dict[str, Any]] = []
     for name, schema in schemas.items():
         parts = copy.deepcopy({key: value for key, value in schema.items() if key != "$schema"})
         definitions |= parts.pop("definitions", {})
@@ -380,17 +379,13 @@ def one_of_files(schemas: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     is_relief: dict[str, Any] = {"required": ["target"], "properties": {"target": {"type": "object"}}}
     is_design: dict[str, Any] = {"required": ["target"], "properties": {"target": {"type": "array"}}}
     is_sweep: dict[str, Any] = {"required": ["recipe", "axes"]}
-    marks: dict[str, Any] = {
-        name: {"properties": {"family": {"const": name}}, "required": ["family"]} for name in schemas
-    }
     others = {"relief-design": is_relief, "design": is_design, "sweep": is_sweep}
-    marks |= others
-    for name in schemas:
-        mark = marks[name]
-        if name not in others:
-            mark = {**mark, "not": {"anyOf": list(others.values())}}
-        choices.append({"if": mark, "then": {"$ref": f"#/definitions/file-{name}"}})
     families = [name for name in schemas if name not in others]
+    is_other = {"anyOf": list(others.values())}
+    marks = others | {
+        name: {"properties": {"family": {"const": name}}, "required": ["family"], "not": is_other} for name in families
+    }
+    choices = [{"if": marks[name], "then": {"$ref": f"#/definitions/file-{name}"}} for name in schemas]
     return {
         "$schema": DRAFT,
         "type": "object",

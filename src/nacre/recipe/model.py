@@ -365,13 +365,9 @@ def _built_once(build: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(build)
     def wrapped(self: RecipeModel, *arguments: Any, **options: Any) -> Any:
         context = arguments[0] if arguments else None
-        if (
-            not isinstance(context, RecipeContext)
-            or context.snapshot is None
-            or id(self) not in context.snapshot.tables
-        ):
-            return build(self, *arguments, **options)
-        if options or not all(isinstance(argument, str) for argument in arguments[1:]):
+        snapshot = context.snapshot if isinstance(context, RecipeContext) else None
+        is_plain = not options and all(isinstance(argument, str) for argument in arguments[1:])
+        if context is None or snapshot is None or id(self) not in snapshot.tables or not is_plain:
             return build(self, *arguments, **options)
         return context.once(("build", id(self), *arguments[1:]), lambda: build(self, *arguments))
 

@@ -301,30 +301,20 @@ def _columns(
             continue
         spectra.append((column, None))
     if not spectra:
-        raise NacreError(f"{path}: has no column of a spectrum; headings: {', '.join(names)[:200]}")
+        raise NacreError(f"{path}: has no column of a spectrum; heads: {', '.join(names)[:200]}")
     spectra = _without_counts(spectra, names, notes)
     technique = common.label_of(metadata.get("Technique", ""))
     if technique is not None and len(spectra) == 1 and names[spectra[0][0]] == "Processed":  # Wasatch Enlighten
         names[spectra[0][0]] = "Processed %" + technique.quantity if technique.factor is None else technique.quantity
-    headings = [names[column] for column, _ in spectra]
-    if (
-        len(headings) == 1
-        and ordinate
-        and common.label_of(headings[0]) is None
-        and not common.has_other_scale(headings[0])
-    ):
-        headings = [ordinate]
-    labels = _labels(
-        path,
-        table[:, place],
-        [(name, table[:, column]) for name, (column, _) in zip(headings, spectra)],
-        options,
-        notes,
-    )
+    heads = [names[column] for column, _ in spectra]
+    if len(heads) == 1 and ordinate and common.label_of(heads[0]) is None and not common.has_other_scale(heads[0]):
+        heads = [ordinate]
+    columns = [(name, table[:, column]) for name, (column, _) in zip(heads, spectra)]
+    labels = _labels(path, table[:, place], columns, options, notes)
     angles = [degrees(names[column]) for column, _ in spectra]
     about: list[dict[str, object]] = [{**metadata} for _ in spectra]
     if all(angle is not None and 0.0 <= angle < 90.0 for angle in angles):  # 110 and -15 are aspecular
-        notes.assumed.append("the headings are angles of incidence")
+        notes.assumed.append("the heads are angles of incidence")
         about = [{**metadata, "angle_of_incidence_deg": angle} for angle in angles]
     return [
         _one(path, table[:, place], table[:, column], names[place], label, names[column], facts, options,
