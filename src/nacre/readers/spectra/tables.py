@@ -301,7 +301,7 @@ def _columns(
             continue
         spectra.append((column, None))
     if not spectra:
-        raise NacreError(f"{path}: has no column of a spectrum; heads: {', '.join(names)[:200]}")
+        raise NacreError(f"{path}: has no column of a spectrum; headings: {', '.join(names)[:200]}")
     spectra = _without_counts(spectra, names, notes)
     technique = common.label_of(metadata.get("Technique", ""))
     if technique is not None and len(spectra) == 1 and names[spectra[0][0]] == "Processed":  # Wasatch Enlighten
@@ -314,7 +314,7 @@ def _columns(
     angles = [degrees(names[column]) for column, _ in spectra]
     about: list[dict[str, object]] = [{**metadata} for _ in spectra]
     if all(angle is not None and 0.0 <= angle < 90.0 for angle in angles):  # 110 and -15 are aspecular
-        notes.assumed.append("the heads are angles of incidence")
+        notes.assumed.append("the headings are angles of incidence")
         about = [{**metadata, "angle_of_incidence_deg": angle} for angle in angles]
     return [
         _one(path, table[:, place], table[:, column], names[place], label, names[column], facts, options,
