@@ -13,9 +13,10 @@ import numpy as np
 
 from nacre.families.metasurface.tmatrix.axisymmetric import (
     AxialTMatrices,
+    condon_shortley_signs,
+    full_order,
     multipole_index,
     spread_blocks,
-    tilted_full,
     truncated,
 )
 from nacre.families.metasurface.tmatrix.particle_shapes import SolvedBody
@@ -25,6 +26,27 @@ from nacre.matter.indices.spec import IndexSpec
 LENGTH_NM, WIDTH_NM, FILM_INDEX = 110.0, 50.0, 1.5
 WAVELENGTHS_NM, ORDER = np.arange(360.0, 831.0, 10.0), 4
 KEPT = 2.0**-30  # of the largest number: the rest, far below the error of a mesh, would not compress
+
+
+def tilted_full(matrix: np.ndarray, tilt_rad: float) -> np.ndarray:
+    """Return T, `[..., n, n']`, for the particle rotated about y, from z towards x.
+
+    Multipoles with one l and tau mix by d = exp(-i tilt J_y), in Condon-Shortley phases; J_y has
+    (m + 1, m) = sqrt(l (l + 1) - m (m + 1)) / 2i.
+    """
+    index = multipole_index(full_order(matrix))
+    turn = np.zeros((len(index.m), len(index.m)))
+    for l in range(1, index.order + 1):
+        m = np.arange(-l, l)
+        raised = np.diag(np.sqrt(l * (l + 1.0) - m * (m + 1)), -1) / 2.0
+        values, vectors = np.linalg.eigh((raised - raised.T) / 1j)
+        d = ((vectors * np.exp(-1j * tilt_rad * values)) @ vectors.conj().T).real
+        for tau in range(2):
+            rows = np.nonzero((index.l == l) & (index.tau == tau))[0]  # ascending m
+            turn[rows[:, None], rows] = d
+    sign = condon_shortley_signs(index)
+    turn *= sign[:, None] * sign
+    return np.asarray(turn @ matrix @ turn.T)
 
 
 def lying_spheroid(length_nm: float, width_nm: float, material: str, around: float, wavelengths_nm: np.ndarray,

@@ -39,7 +39,6 @@ from nacre.families.metasurface.tmatrix.axisymmetric import (
     multipole_index,
     reversed_full,
     spread_blocks,
-    tilted_full,
     with_negative_orders,
 )
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
@@ -56,6 +55,9 @@ LINES = 1e-2  # of the root mean square: what 64 angles leave over a film, twice
 QCA_ENERGY = 1e-2  # energy error of the mean field, see docs/physics/metasurface.md, "Aligned particles"
 ROOT = Path(__file__).parents[2]
 EXAMPLE, TOOL = ROOT / "examples" / "metasurface" / "silver_rods.toml", ROOT / "tools" / "lying_rods.py"
+tool_spec = importlib.util.spec_from_file_location("lying_rods", TOOL)
+tool = importlib.util.module_from_spec(tool_spec)
+tool_spec.loader.exec_module(tool)
 FILE = Path(__file__).with_name("dimer.tmat.h5")
 RADII, APART, INDEX = (50.0, 38.0), 100.0, 4.0 + 0.05j  # of the two spheres of the file, the larger one at -x
 LENGTH, HEIGHT = APART + 2 * RADII[0], 2 * RADII[0]
@@ -193,7 +195,7 @@ def test_values_at_a_few_pairs_are_those_of_the_lobe_between_its_angles(turn):
 def test_a_tilted_particle_is_light_and_view_tilted_back(tilt_deg):
     """In free space, of the lopsided particle of the file: all |F|^2 over both polarisations stay."""
     tilt, layer = np.radians(tilt_deg), dimers(1.0, mmax=5)
-    tilted = AlignedLayer(layer.mean, tilted_full(layer.full, tilt))
+    tilted = AlignedLayer(layer.mean, tool.tilted_full(layer.full, tilt))
     a = vectors(6, 8)
     b = about_y(a, tilt)
     keep = b[:, 2] > 0.05
@@ -481,13 +483,10 @@ def test_a_few_values_of_the_example_are_those_of_its_tables():
 
 
 def test_the_example_s_file_is_what_its_tool_writes_and_a_turned_upright_rod():
-    spec = importlib.util.spec_from_file_location("lying_rods", TOOL)
-    tool = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tool)
     nm = np.array([640.0])
     again = tool.lying_spheroid(tool.LENGTH_NM, tool.WIDTH_NM, "Ag", tool.FILM_INDEX, nm, tool.ORDER)
     held = read_tmatrices(EXAMPLE.with_name("silver_rods.tmat.h5"), is_aligned=True)
     at = int(np.argmin(np.abs(held.wavelengths_nm - 640.0)))
     assert np.abs(held.full[at] - again.full[0]).max() <= 2 * tool.KEPT * np.abs(held.full).max()
     upright = spread_blocks(again.blocks[0], multipole_index(tool.ORDER))
-    assert np.abs(tilted_full(again.full[0], -np.pi / 2) - upright).max() <= 1e-7 * np.abs(upright).max()
+    assert np.abs(tool.tilted_full(again.full[0], -np.pi / 2) - upright).max() <= 1e-7 * np.abs(upright).max()

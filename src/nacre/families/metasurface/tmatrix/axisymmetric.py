@@ -419,24 +419,3 @@ def reversed_full(matrix: ComplexArray) -> ComplexArray:
     places = {key: i for i, key in enumerate(zip(index.m.tolist(), index.tau.tolist(), index.l.tolist(), strict=True))}
     partner = [places[(-m, tau, l)] for (m, tau, l) in places]
     return np.asarray(np.swapaxes(matrix, -1, -2)[..., partner, :][..., :, partner])
-
-
-def tilted_full(matrix: ComplexArray, tilt_rad: float) -> ComplexArray:
-    """Return T, `[..., n, n']`, for the particle rotated about y, from z towards x.
-
-    Multipoles with one l and tau mix by d = exp(-i tilt J_y), in Condon-Shortley phases; J_y has
-    (m + 1, m) = sqrt(l (l + 1) - m (m + 1)) / 2i.
-    """
-    index = multipole_index(full_order(matrix))
-    turn = np.zeros((len(index.m), len(index.m)))
-    for l in range(1, index.order + 1):
-        m = np.arange(-l, l)
-        raised = np.diag(np.sqrt(l * (l + 1.0) - m * (m + 1)), -1) / 2.0
-        values, vectors = np.linalg.eigh((raised - raised.T) / 1j)
-        d = ((vectors * np.exp(-1j * tilt_rad * values)) @ vectors.conj().T).real
-        for tau in range(2):
-            rows = np.nonzero((index.l == l) & (index.tau == tau))[0]  # ascending m
-            turn[rows[:, None], rows] = d
-    sign = condon_shortley_signs(index)
-    turn *= sign[:, None] * sign
-    return np.asarray(turn @ matrix @ turn.T)
