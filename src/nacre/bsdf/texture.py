@@ -26,7 +26,7 @@ import pydantic
 from numpy.typing import NDArray
 from pydantic import Field
 
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, interpolate_periodic
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.core.machine import check_memory
@@ -347,12 +347,7 @@ def _stepped(image: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.f
 def _bilinear(image: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
     """Interpolate between texel centres, periodically, as Mitsuba's bitmap texture does by default."""
     rows, columns = image.shape
-    x, y = u * columns - 0.5, (1.0 - v) * rows - 0.5
-    x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
-    fx, fy = x - x0, y - y0
-    top = image[y0 % rows, x0 % columns] * (1 - fx) + image[y0 % rows, (x0 + 1) % columns] * fx
-    bottom = image[(y0 + 1) % rows, x0 % columns] * (1 - fx) + image[(y0 + 1) % rows, (x0 + 1) % columns] * fx
-    return np.asarray(top * (1 - fy) + bottom * fy)
+    return interpolate_periodic(image, (1.0 - v) * rows - 0.5, u * columns - 0.5)
 
 
 def places(uv: Array | None, shape: tuple[int, ...]) -> Array:

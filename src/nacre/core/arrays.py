@@ -121,6 +121,16 @@ def interpolate(table: NDArray[np.floating], coordinates: tuple[ArrayLike, ...])
     return total
 
 
+def interpolate_periodic(table: Array, row: Array, column: Array) -> Array:
+    """Interpolate a periodic table bilinearly, at fractional indices of equal shape; first along its rows."""
+    rows, columns = table.shape
+    y, x = np.floor(row).astype(int), np.floor(column).astype(int)
+    fy, fx = row - y, column - x
+    top = table[y % rows, x % columns] * (1 - fx) + table[y % rows, (x + 1) % columns] * fx
+    bottom = table[(y + 1) % rows, x % columns] * (1 - fx) + table[(y + 1) % rows, (x + 1) % columns] * fx
+    return np.asarray(top * (1 - fy) + bottom * fy)
+
+
 def barycentric_matrix(nodes: Array, weights: Array, points: Array) -> Array:
     """Return the matrix `[point, node]` of polynomial interpolation with barycentric weights (Berrut, Trefethen)."""
     gap = points[:, None] - nodes

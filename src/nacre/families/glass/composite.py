@@ -42,8 +42,24 @@ INDEX_NM = 550.0  # random walks refract all wavelengths with the index at this 
 MAX_EXTINCTION = 0.1  # Im(n_e), above which light is absorbed within a few wavelengths
 
 
+class Filling(Protocol):
+    """Filling of a stratum: a composite, or balls."""
+
+    @property
+    def range_nm(self) -> tuple[float, float]:
+        """Wavelength range of all materials."""
+
+    def effective_index(self, wavelengths_nm: Array) -> ComplexArray:
+        """Index n + ik for refraction into the layer, `[wavelength]`."""
+
+    @property
+    def walk_index(self) -> float:
+        """Index for the refraction of all wavelengths in random walks."""
+        return max(float(np.abs(self.effective_index(np.array([INDEX_NM])))[0]), 1.0)
+
+
 @dataclass(frozen=True)
-class Composite:
+class Composite(Filling):
     """Spheres in a matrix, independent of the wavelength.
 
     Attributes:
@@ -109,11 +125,6 @@ class Composite:
             )
         return n
 
-    @property
-    def walk_index(self) -> float:
-        """Index for the refraction of all wavelengths in random walks."""
-        return max(float(np.abs(self.effective_index(np.array([INDEX_NM])))[0]), 1.0)
-
     def medium(self, wavelengths_nm: Array) -> Medium:
         """Return the turbid medium."""
         return solve_medium(self.spheres(wavelengths_nm))
@@ -125,17 +136,6 @@ class Composite:
             wavelengths_nm, np.array(self.radii_nm), layers, self.effective_index(wavelengths_nm),
             self.volume_fraction, self.deviation_nm, self.structure,
         )  # fmt: skip
-
-
-class Filling(Protocol):
-    """Filling of a stratum: a composite, or balls."""
-
-    @property
-    def range_nm(self) -> tuple[float, float]:
-        """Wavelength range of all materials."""
-
-    def effective_index(self, wavelengths_nm: Array) -> ComplexArray:
-        """Index n + ik for refraction into the layer, `[wavelength]`."""
 
 
 @dataclass(frozen=True)
@@ -382,8 +382,8 @@ def _walk_ball(seed, count, ratio, depths, quantile, forward, out):
 
 
 @dataclass(frozen=True)
-class Balls:
-    """Photonic balls in a binder, a `Filling` like `Composite`.
+class Balls(Filling):
+    """Photonic balls in a binder.
 
     Attributes:
         glass: inside the balls.
@@ -404,11 +404,6 @@ class Balls:
         """Wavelength range of all materials."""
         low, high = self.glass.range_nm
         return max(low, self.binder.range_nm[0]), min(high, self.binder.range_nm[1])
-
-    @property
-    def walk_index(self) -> float:
-        """Index for the refraction of all wavelengths in random walks."""
-        return max(float(np.abs(self.effective_index(np.array([INDEX_NM])))[0]), 1.0)
 
     def effective_index(self, wavelengths_nm: Array) -> ComplexArray:
         """Index n + ik of the binder, `[wavelength]`."""

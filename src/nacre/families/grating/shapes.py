@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from nacre.bsdf.texture import read_grey
+from nacre.core.arrays import interpolate_periodic
 from nacre.core.errors import RecipeError
 from nacre.core.files import plain, why_unreadable
 from nacre.matter.indices.spec import IndexSpec
@@ -267,7 +268,8 @@ class ShapeSpec(RecipeModel):
         def distance(a: Array, b: Array) -> Array:
             v = b / (p_y * np.sin(angle))
             u = (a - v * p_y * np.cos(angle)) / p_x
-            return _bilinear(values, u, v)
+            # periodic, in lattice coordinates about the origin
+            return interpolate_periodic(values.T, (v + 0.5) * n_y - 0.5, (u + 0.5) * n_x - 0.5)
 
         return Region(distance, ("image", inside.tobytes().hex(), inside.shape))
 
@@ -344,17 +346,6 @@ def widest(shape: Shape, wall: Wall, thickness_nm: float) -> Shape:
     """Return the largest section of a shape with a sloping wall."""
     away = float(wall.insets(thickness_nm, np.linspace(0.0, thickness_nm, 65)).min())
     return inset(shape, away) or shape
-
-
-def _bilinear(values: Array, u: Array, v: Array) -> Array:
-    """Interpolate a periodic map of the cell, in lattice coordinates about the origin."""
-    n_x, n_y = values.shape
-    a, b = (u + 0.5) * n_x - 0.5, (v + 0.5) * n_y - 0.5
-    i, j = np.floor(a).astype(int), np.floor(b).astype(int)
-    f, g = a - i, b - j
-    i0, i1, j0, j1 = i % n_x, (i + 1) % n_x, j % n_y, (j + 1) % n_y
-    low = values[i0, j0] * (1 - f) + values[i1, j0] * f
-    return np.asarray(low * (1 - g) + (values[i0, j1] * (1 - f) + values[i1, j1] * f) * g)
 
 
 def _turned(
