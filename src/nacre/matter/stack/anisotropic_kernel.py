@@ -32,7 +32,7 @@ SEPARATION = 1e-3
 _GAUSS = 0.28867513459481287  # half the distance of the two Gauss nodes in a step of 1: sqrt(3)/6
 
 
-@compiled(nogil=True, inline="always")
+@compiled(nogil=True)
 def _mul(a, b):
     return (
         a[0] * b[0] + a[1] * b[2],
@@ -42,22 +42,22 @@ def _mul(a, b):
     )
 
 
-@compiled(nogil=True, inline="always")
+@compiled(nogil=True)
 def _add(a, b):
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3])
 
 
-@compiled(nogil=True, inline="always")
+@compiled(nogil=True)
 def _one_plus(a):
     return (1.0 + a[0], a[1], a[2], 1.0 + a[3])
 
 
-@compiled(nogil=True, inline="always")
+@compiled(nogil=True)
 def _scaled(a, factor):
     return (a[0] * factor, a[1] * factor, a[2] * factor, a[3] * factor)
 
 
-@compiled(nogil=True, inline="always")
+@compiled(nogil=True)
 def _inverse(a):
     over = 1.0 / (a[0] * a[3] - a[1] * a[2])
     return (a[3] * over, -a[1] * over, -a[2] * over, a[0] * over)
@@ -134,7 +134,7 @@ def generator(eps, kx, factor, out):
     out[3, 3] = -r11 - q11
 
 
-@compiled(nogil=True, inline="always")
+@compiled(nogil=True)
 def _product(a, b, out):
     for i in range(4):
         for j in range(4):
@@ -320,7 +320,7 @@ def _first_factor(d):
     return first + second, first * second
 
 
-@compiled(nogil=True, inline="always")
+@compiled(nogil=True)
 def _is_passive(y):
     """Whether the reflection of a half-space has no singular value above 1."""
     total = abs(y[0]) ** 2 + abs(y[1]) ** 2 + abs(y[2]) ** 2 + abs(y[3]) ** 2
@@ -427,20 +427,20 @@ def solve_stacks(stack, light, bottom, outputs, first, last):
                 _absorption(states, absorbed[:, angle, w])
 
 
-@compiled(nogil=True, inline="always")
+@compiled(nogil=True)
 def _store(state, g, down):
     for k in range(4):
         state[0, k] = g[k]
         state[1, k] = down[k]
 
 
-@compiled(nogil=True, inline="always")
+@compiled(nogil=True)
 def _is_same(one, other):
     same = one[0, 0] == other[0, 0] and one[1, 1] == other[1, 1] and one[2, 2] == other[2, 2]
     return same and one[0, 1] == other[0, 1] and one[0, 2] == other[0, 2] and one[1, 2] == other[1, 2]
 
 
-@compiled(nogil=True, inline="always")
+@compiled(nogil=True)
 def _over_scattering(g, t, r, u, s):
     """Return the reflection above a layer, and the map of a from its upper to its lower face, given that below it."""
     full_t = _one_plus(t)
