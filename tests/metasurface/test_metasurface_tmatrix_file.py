@@ -52,6 +52,12 @@ multipole_order = 5
 """
 
 
+@pytest.fixture
+def intact(monkeypatch):
+    """Skip the subprocess that looks for damage, in tests of many intact files."""
+    monkeypatch.setattr(hdf5, "probe", lambda *_: None)
+
+
 def _spheres(wavelengths=(500.0, 520.0), radius=75.0, index=4.0 + 0.05j, ambient=1.0, lmax=5):
     k = 2 * np.pi * ambient / np.array(wavelengths)
     blocks = np.stack([as_blocks(t_matrix(lmax, x, index / ambient)) for x in k * radius])
@@ -289,6 +295,7 @@ def test_between_wavelengths_a_particle_stays_passive():
     assert np.allclose(known.at(600.0, hold_ends=True), known.blocks[1])
 
 
+@pytest.mark.usefixtures("intact")
 @pytest.mark.parametrize(
     ("name", "unit", "value"),
     [
@@ -319,6 +326,7 @@ def test_every_spectral_axis_and_unit_of_the_format(tmp_path, name, unit, value)
     assert read_tmatrices(path).wavelengths_nm[0] == pytest.approx(500.0, rel=1e-12)
 
 
+@pytest.mark.usefixtures("intact")
 @pytest.mark.parametrize(
     ("name", "unit", "allowed"),
     [
@@ -443,6 +451,7 @@ BROKEN = {
 }
 
 
+@pytest.mark.usefixtures("intact")
 @pytest.mark.parametrize("what", BROKEN)
 def test_a_broken_file_gets_one_line(tmp_path, capsys, what):
     how, said = BROKEN[what]
