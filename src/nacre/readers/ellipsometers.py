@@ -220,15 +220,8 @@ def _dynamic(
     leds = list(dict.fromkeys(match[1] for name in names if (match := COLUMN.match(name))))
     if len(leds) != len(wavelengths):
         raise NacreError(f"{path}: columns of {len(leds)} LEDs for {len(wavelengths)} wavelengths")
-    rows = []
-    for number, line in enumerate(lines[1:], len(wavelengths) + 4):
-        row = numbers(line)
-        if row is None or len(row) != len(names):
-            raise NacreError(f"{path}: line {number} does not hold {len(names)} numbers")
-        rows.append(row)
-    if not rows:
-        raise NacreError(f"{path}: contains no rows of data")
-    table = dict(zip(names, np.array(rows).T))
+    rows = _rows_of(path, lines[1:], len(wavelengths) + 4, len(names))
+    table = dict(zip(names, rows.T))
     columns = {"wavelength_nm": np.tile(wavelengths, len(rows)), "time_s": np.repeat(table[names[0]], len(leds))}
     for letter, name in (("N", "ncs_n"), ("C", "ncs_c"), ("S", "ncs_s"), ("P", "degree_of_polarisation")):
         if all(f"{led}_{letter}" in table for led in leds):
@@ -243,6 +236,15 @@ def _dynamic(
     return ellipsometry(
         path, columns, options, maker="Film Sense", metadata=metadata, assumed=assumed, left_out=left_out
     )
+
+
+def _rows_of(path: Path, lines: Sequence[str], first: int, count: int) -> Array:
+    """Return rows of `count` numbers; the first line has the number `first`, and empty lines are left out."""
+    rows = [(number, numbers(line) or []) for number, line in enumerate(lines, first) if line.strip()]
+    for number, row in rows:
+        if len(row) != count:
+            raise NacreError(f"{path}: line {number} does not hold {count} numbers")
+    return same_length(path, rows)
 
 
 # Text (.spe) of the ellipsometers by Horiba Jobin Yvon (DeltaPsi).
@@ -473,14 +475,7 @@ def read_nacre_ellipsometry(path: Path, options: ReadOptions) -> list[Measuremen
     """
     lines = text_lines(path)
     names = _names_nacre_ellipsometry(lines[0])
-    rows = []
-    for number, line in enumerate(lines[1:], 2):
-        if line.strip():
-            row = numbers(line)
-            if row is None or len(row) != len(names):
-                raise NacreError(f"{path}: line {number} does not hold {len(names)} numbers")
-            rows.append((number, row))
-    table = same_length(path, rows)
+    table = _rows_of(path, lines[1:], 2, len(names))
     columns = {name: np.asarray(table[:, i]) for i, name in enumerate(names) if name not in DERIVED}
     left_out = [f"column {name}" for name in names if name in DERIVED]
     return [ellipsometry(path, columns, options, maker="nacre", left_out=left_out)]

@@ -207,18 +207,16 @@ def _is_cut(path: Path) -> bool:
 
 
 # first bytes -> file type
-_MAGIC: tuple[tuple[bytes, str], ...] = (
+_MAGIC: tuple[tuple[bytes | tuple[bytes, ...], str], ...] = (
     (b"PK\x03\x04", "a zip archive"),
     (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "an OLE file, as Excel 97 and older programs of instruments write"),
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
-    (b"CDF\x01", "a NetCDF file"),
-    (b"CDF\x02", "a NetCDF file"),
+    ((b"CDF\x01", b"CDF\x02"), "a NetCDF file"),
     (b"\x89PNG", "a PNG image"),
     (b"\xff\xd8\xff", "a JPEG image"),
     (b"GIF8", "a GIF image"),
     (b"BM", "a BMP image"),
-    (b"II*\0", "a TIFF image"),
-    (b"MM\0*", "a TIFF image"),
+    ((b"II*\0", b"MM\0*"), "a TIFF image"),
     (b"%PDF", "a PDF document"),
     (b"{\\rtf", "an RTF document"),
     (b"\x1f\x8b", "a gzip archive"),
@@ -226,8 +224,7 @@ _MAGIC: tuple[tuple[bytes, str], ...] = (
     (b"Rar!", "a RAR archive"),
     (b"MATLAB 5.0", "a MATLAB file"),
     (b"\x93NUMPY", "a NumPy array"),
-    (b"\x7fELF", "a program"),
-    (b"MZ", "a program"),
+    ((b"\x7fELF", b"MZ"), "a program"),
     (b"SQLite format 3", "an SQLite database"),
 )
 _HEAD_PARTS = {b"[Content_Types].xml": "a spreadsheet or document of Office", b"xl/": "an Excel spreadsheet",

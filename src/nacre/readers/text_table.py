@@ -1,6 +1,6 @@
 """Tables in text files: encoding, delimiter, decimal mark, headings, units, remarks, blocks and missing cells.
 
-`read_tables` returns the cells as text and numbers, with the lines above them; `headings` interprets these.
+`parse_tables` returns the cells as text and numbers, with the lines above them; `headings` interprets these.
 """
 
 import contextlib

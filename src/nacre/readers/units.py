@@ -3,7 +3,6 @@
 import tomllib
 import unicodedata
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
@@ -77,64 +76,55 @@ def to_nm(values: ArrayLike, unit: str) -> Floats:
     scaled = np.asarray(values, dtype=float) * factor
     if kind == "length":
         return scaled
+    if kind not in _TIMES_NM:
+        raise NacreError(f'"{unit}" is not a unit of a wavelength, energy, wavenumber or frequency')
     with np.errstate(divide="ignore"):
-        if kind == "energy":
-            return EV_NM / scaled
-        if kind == "wavenumber":
-            return 1.0 / scaled
-        if kind == "frequency":
-            return LIGHT_NM_S / scaled
-        if kind == "angular_frequency":
-            return 2.0 * np.pi * LIGHT_NM_S / scaled
-    raise NacreError(f'"{unit}" is not a unit of a wavelength, energy, wavenumber or frequency')
+        return _TIMES_NM[kind] / scaled
 
 
-@dataclass(frozen=True)
-class _Reading:
-    """When numbers without a unit may be in `unit`: a test of the least and greatest number."""
-
-    unit: str
-    is_plausible: Callable[[float, float], bool]
-
-
+# product of a quantity and the wavelength in nm
+_TIMES_NM = {
+    "energy": EV_NM, "wavenumber": 1.0, "frequency": LIGHT_NM_S, "angular_frequency": 2.0 * np.pi * LIGHT_NM_S,
+}  # fmt: skip
+# unit -> whether numbers without one may be in it: a test of the least and the greatest number
+_Readings = dict[str, Callable[[float, float], bool]]
 # Optical tables of films, glasses and metals lie between 100 nm and some 100 um. Instruments: 190-3300 nm,
 # 0.5-7 eV, infrared 350-12000 1/cm.
-_OF_DIMENSION: dict[str, tuple[_Reading, ...]] = {
-    "length": (
-        _Reading("nm", lambda low, high: low >= 100.0 and high <= 50_000.0),
-        _Reading("um", lambda low, high: low >= 0.05 and high <= 100.0 and low < 30.0),
-        _Reading("angstrom", lambda low, high: low >= 1800.0 and 6000.0 <= high <= 100_000.0),
-        _Reading("mm", lambda low, high: low >= 1e-4 and high < 0.02),
-        _Reading("m", lambda low, high: low >= 1e-7 and high < 2e-5),
-    ),
-    "energy": (
-        _Reading("eV", lambda low, high: 0.005 <= low and high <= 60.0),
-        _Reading("meV", lambda low, high: low >= 100.0 and high <= 10_000.0),
-        _Reading("J", lambda low, high: high < 1e-15),
-    ),
-    "wavenumber": (
-        _Reading("1/cm", lambda low, high: low >= 50.0 and high <= 200_000.0),
-        _Reading("1/um", lambda low, high: 0.02 <= low and high <= 20.0),
-    ),
-    "frequency": (
-        _Reading("THz", lambda low, high: 5.0 <= low and high <= 5000.0),
-        _Reading("Hz", lambda low, high: 1e12 <= low and high <= 1e17),
-    ),
-    "angular_frequency": (
-        _Reading("rad/s", lambda low, high: 1e13 <= low and high <= 1e18),
-        _Reading("rad/fs", lambda low, high: 0.1 <= low and high <= 30.0),
-    ),
+_OF_DIMENSION: dict[str, _Readings] = {
+    "length": {
+        "nm": lambda low, high: low >= 100.0 and high <= 50_000.0,
+        "um": lambda low, high: low >= 0.05 and high <= 100.0 and low < 30.0,
+        "angstrom": lambda low, high: low >= 1800.0 and 6000.0 <= high <= 100_000.0,
+        "mm": lambda low, high: low >= 1e-4 and high < 0.02,
+        "m": lambda low, high: low >= 1e-7 and high < 2e-5,
+    },
+    "energy": {
+        "eV": lambda low, high: 0.005 <= low and high <= 60.0,
+        "meV": lambda low, high: low >= 100.0 and high <= 10_000.0,
+        "J": lambda low, high: high < 1e-15,
+    },
+    "wavenumber": {
+        "1/cm": lambda low, high: low >= 50.0 and high <= 200_000.0,
+        "1/um": lambda low, high: 0.02 <= low and high <= 20.0,
+    },
+    "frequency": {
+        "THz": lambda low, high: 5.0 <= low and high <= 5000.0,
+        "Hz": lambda low, high: 1e12 <= low and high <= 1e17,
+    },
+    "angular_frequency": {
+        "rad/s": lambda low, high: 1e13 <= low and high <= 1e18,
+        "rad/fs": lambda low, high: 0.1 <= low and high <= 30.0,
+    },
 }
 # without a heading: narrower, as the quantity is unknown too
-_OF_NONE: tuple[_Reading, ...] = (
-    _Reading("nm", lambda low, high: low >= 100.0 and high <= 50_000.0),
-    _Reading("um", lambda low, high: low >= 0.05 and high <= 100.0),
-    _Reading("eV", lambda low, high: 0.01 <= low and 1.3 <= high <= 20.0),
-    _Reading("1/cm", lambda low, high: low >= 300.0 and high >= 2650.0 or low > 750.0 and high > 1300.0),
-    _Reading("angstrom", _OF_DIMENSION["length"][2].is_plausible),
-    _Reading("m", _OF_DIMENSION["length"][4].is_plausible),
-    _Reading("THz", lambda low, high: False),
-)
+_OF_NONE: _Readings = {
+    "nm": _OF_DIMENSION["length"]["nm"],
+    "um": lambda low, high: low >= 0.05 and high <= 100.0,
+    "eV": lambda low, high: 0.01 <= low and 1.3 <= high <= 20.0,
+    "1/cm": lambda low, high: low >= 300.0 and high >= 2650.0 or low > 750.0 and high > 1300.0,
+    "angstrom": _OF_DIMENSION["length"]["angstrom"],
+    "m": _OF_DIMENSION["length"]["m"],
+}
 
 
 def spectral_units(values: Floats, quantity: str | None = None) -> tuple[str, ...]:
@@ -152,7 +142,7 @@ def spectral_units(values: Floats, quantity: str | None = None) -> tuple[str, ..
     """
     low, high = float(np.min(values)), float(np.max(values))
     readings = _OF_NONE if quantity is None else _OF_DIMENSION["length" if quantity == "wavelength" else quantity]
-    return tuple(reading.unit for reading in readings if reading.is_plausible(low, high))
+    return tuple(unit for unit, is_plausible in readings.items() if is_plausible(low, high))
 
 
 def in_range(values: Floats, units: Iterable[str]) -> str:
@@ -163,11 +153,8 @@ def in_range(values: Floats, units: Iterable[str]) -> str:
         '300-6000 nm (um) or 206.6-4133 nm (eV)'
     """
     low, high = float(np.min(values)), float(np.max(values))
-    readings = []
-    for unit in units:
-        ends = sorted(to_nm(np.array([low, high]), unit))
-        readings.append(f"{ends[0]:.4g}-{ends[1]:.4g} nm ({unit})")
-    return " or ".join(readings)
+    ends = {unit: sorted(to_nm(np.array([low, high]), unit)) for unit in units}
+    return " or ".join(f"{first:.4g}-{last:.4g} nm ({unit})" for unit, (first, last) in ends.items())
 
 
 SHORTEST_NM, SOFT_X_RAY_NM = 10.0, 100.0  # optics of films begins in the extreme ultraviolet
