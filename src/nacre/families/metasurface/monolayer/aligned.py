@@ -468,7 +468,6 @@ def tabulate_aligned(
     grids: evaluation.Grids,
     eta: float,
     turn_rad: float,
-    jobs: int | None = None,
 ) -> tuple[tuple[Lobe, ...], float]:
     """Solve all wavelengths in parallel; return the two lobes and the largest raw energy excess over 1."""
 
@@ -476,7 +475,7 @@ def tabulate_aligned(
         layer = layer_at(float(wavelength))
         return solve_aligned(layer, grids, eta), layer.mean.surface
 
-    results, surfaces = zip(*in_threads(work, wavelengths_nm, jobs))
+    results, surfaces = zip(*in_threads(work, wavelengths_nm))
     series = evaluation.column(results, "series")
     chosen = _select_terms(series)
     values, orders = np.ascontiguousarray(series[:, chosen]), series_orders()[chosen].astype(float)

@@ -161,7 +161,7 @@ class SpecularTables:
         return sides[:, 0], sides[:, 1], sides[:, 2], np.clip(self.total[:, band], 0.0, 1.0)
 
     @classmethod
-    def solve(cls, layers: Sequence[Monolayer], grids: Grids, eta: float, jobs: int | None = None) -> SpecularTables:
+    def solve(cls, layers: Sequence[Monolayer], grids: Grids, eta: float) -> SpecularTables:
         """Tabulate on uniform nodes where these are exact enough, and otherwise on dyadic ones."""
         transmits = grids.below is not None
 
@@ -176,7 +176,7 @@ class SpecularTables:
                     inside = 0.5 * layer.specular_below(inner).sum(axis=-2)
                 return np.stack([r, t, inside], axis=-1)
 
-            return np.stack(in_threads(column, layers, jobs), axis=-1)
+            return np.stack(in_threads(column, layers), axis=-1)
 
         def beyond(x: Array) -> Array:
             # cos_inside/cos_critical = cos(pi x/2), without the two singular ends
@@ -186,7 +186,7 @@ class SpecularTables:
                 inner = part * np.sqrt(1 - 1 / layer.surface.index_below**2)
                 return np.asarray(0.5 * layer.specular_below(inner).sum(axis=-2))
 
-            return np.stack(in_threads(column, layers, jobs), axis=-1)
+            return np.stack(in_threads(column, layers), axis=-1)
 
         angles = (np.arange(CHECKED_ANGLES) + 0.5) / CHECKED_ANGLES
         above = tabulate_nodes(outside, MOST_NODES, np.cos(np.pi / 2 * angles), angles[:0], (6, 7), *ACCEPTED)
@@ -291,23 +291,16 @@ def energy_factors(pairs: Array, weights: Array, cosines: Array, specular: Array
 
 
 def tabulate(
-    wavelengths_nm: Array,
-    monolayer: Callable[[float], Monolayer],
-    structure: Structure,
-    grids: Grids,
-    eta: float,
-    jobs: int | None = None,
+    wavelengths_nm: Array, monolayer: Callable[[float], Monolayer], structure: Structure, grids: Grids, eta: float
 ) -> tuple[tuple[Lobe, ...], float, AngleErrors]:
     """Solve all wavelengths in parallel.
 
     Returns:
         the two lobes, the largest raw energy excess over 1, and the interpolation errors of the specular one.
     """
-    layers = in_threads(lambda wavelength: monolayer(float(wavelength)), wavelengths_nm, jobs)
-    tables = SpecularTables.solve(layers, grids, eta, jobs)
-    results = in_threads(
-        lambda band: solve_wavelength(layers[band], grids, eta, tables, band), range(len(layers)), jobs
-    )
+    layers = in_threads(lambda wavelength: monolayer(float(wavelength)), wavelengths_nm)
+    tables = SpecularTables.solve(layers, grids, eta)
+    results = in_threads(lambda band: solve_wavelength(layers[band], grids, eta, tables, band), range(len(layers)))
     surfaces = [layer.surface for layer in layers]
 
     def free(i: int) -> NDArray:
