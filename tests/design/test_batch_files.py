@@ -141,6 +141,16 @@ def test_reused_solutions_are_unchanged(tmp_path: Path) -> None:
         assert one.recipe == other.recipe and one.is_met == other.is_met
 
 
+@pytest.mark.parametrize(("limit", "ended_by"), [({"seconds": 0.01}, "time"), ({"evaluations": 2}, "evaluations")])
+def test_a_row_states_the_limit_that_ended_its_search(tmp_path: Path, limit: dict[str, float], ended_by: str) -> None:
+    start = {"family": "film", "substrate": "Ti", "layers": [{"material": {"n": 1.5}, "thickness_nm": 100.0}]}
+    free = {"recipe": start, "parameters": {"layers[0].material.n": [1.4, 1.6]}}
+    unreachable = [{"geometry": "specular 0", "lab": [95, 90, 0], "tolerance": 0.1}]
+    target = {**free, "target": unreachable, "search": {"seconds": 600, **limit}}
+    nacre.design.many(target, [(95, 90, 0)], tmp_path / "o")
+    assert [row["ended_by"] for row in json.loads((tmp_path / "o" / "many.json").read_text())["rows"]] == [ended_by]
+
+
 def test_an_interrupt_leaves_finished_rows(tmp_path: Path) -> None:
     def stop(done: int, total: int) -> None:
         if done == 2:

@@ -6,12 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from PIL import Image
 
 import nacre
 from nacre.light import smooth_weights, white_xyz, xyz_to_lab
+from nacre.optimise.evaluation import evaluate
 from nacre.optimise.image.design import _sampler
 from nacre.optimise.run import evaluate_solution
+from nacre.optimise.spec import LightSpec
 from nacre.optimise.task import read_task
 
 
@@ -59,3 +62,16 @@ def test_pixels_of_one_free_size_have_the_colours_of_spectra(tmp_path: Path) -> 
     sampler = _sampler(read_task(wanted))
     found = xyz_to_lab(sampler.xyz(np.array([[0.7]])), sampler.white)
     np.testing.assert_allclose(found[0], spectrum_lab(recipe(), 200.0), atol=1e-9)
+
+
+def test_colours_from_wavelengths_that_miss_a_guided_mode_are_reported(caplog: pytest.LogCaptureFixture) -> None:
+    """Lines of n = 2 on a film, 340 nm apart, reflect lines of some 10 nm."""
+    line = {"shape": "line", "material": {"n": 2.0}, "width_nm": 170}
+    film = {"thickness_nm": 80, "material": {"n": 2.0}}
+    layers = [{"thickness_nm": 100, "material": "air", "shapes": [line]}, film]
+    grid = {"lattice": {"period_nm": 340}, "wavelengths": {"step_nm": 20}}
+    start = {"family": "grating", "substrate": "glass", "layers": layers, **grid}
+    targets = read_task(target(start)).targets
+    caplog.clear()
+    evaluate(nacre.material(start), targets, LightSpec())
+    assert [record.levelname for record in caplog.records] == ["WARNING"]

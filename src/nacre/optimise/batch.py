@@ -190,7 +190,7 @@ def _search(_: None, task: Task) -> tuple[dict[str, Any], list[TargetResult], di
     solution = work.evaluated(result.solutions[0][1]) if result.solutions else None
     if solution is None:
         raise RecipeError(f"{task.context.source}: the recipe cannot be computed anywhere in its bounds")
-    return solution.changes, solution.targets, solution.facts
+    return solution.changes, solution.targets, solution.facts | {"ended_by": result.status}
 
 
 def _digest(recipe: Path, facts: Mapping[str, Any]) -> str:
@@ -289,7 +289,7 @@ class _BatchFolder:
         row = self.colours[number]
         document = {
             "name": row.name, "folder": self.names[number], "lab": row.lab.tolist(), "met": solution.is_met,
-            "recipe_digest": _digest(solution.recipe, solution.facts),
+            "recipe_digest": _digest(solution.recipe, solution.facts), "ended_by": solution.facts.get("ended_by"),
         } | ({"texture": row.texture} if row.texture else {})  # fmt: skip
         self._documents[number] = document | document_of(solution, task.light)
         if time.monotonic() - self._last > WRITE_INTERVAL_S:

@@ -11,12 +11,13 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.jit import clock
-from nacre.families.contract import ExpensiveMethod, Mixed, is_direct
+from nacre.families.contract import Diffracting, ExpensiveMethod, Mixed, is_direct
 from nacre.light import (
     delta_e_2000,
     lab_to_lch,
     lab_to_xyz,
     lch_to_lab,
+    sampling_warning,
     smooth_weights,
     swatch_hex,
     white_xyz,
@@ -110,6 +111,7 @@ def evaluate(
     """Return the results for all targets and lamps, and the measurement at `geometries_of(targets)`.
 
     Gratings are solved as for spectra; if they do not converge, a warning says so and the search's solution counts.
+    Another warning states that wavelengths are too coarse for lines of their spectra.
     A Monte Carlo estimate is repeated with other seeds until the noise of every distance is a tenth of its tolerance,
     or the time is over.
 
@@ -117,7 +119,9 @@ def evaluate(
         NacreError: the material cannot be computed.
     """
     try:
-        return _evaluated(as_written(material), targets, light, seed, seconds)
+        results, measured = _evaluated(as_written(material), targets, light, seed, seconds)
+        _warn_of_lines(material, measured, geometries_of(targets))
+        return results, measured
     except NotConvergedError as error:
         logger.warning("%s: %s; stated colours have the lower accuracy of the search", material.context.source, error)
         return _evaluated(material, targets, light, seed, seconds)
@@ -164,6 +168,15 @@ def _evaluated(
             rows = [geometries[row] for row in spectral]
             factors[spectral] = simulate_measurement(material, rows, grid, seed=seed + len(estimates)).factors
             estimates.append(factors)
+
+
+def _warn_of_lines(material: Material, measured: Measurement, geometries: Sequence[Geometry]) -> None:
+    """Warn as `Material.spectrum` does; values at fixed directions are means over wavelengths."""
+    rows = [row for row, at in enumerate(geometries) if not isinstance(at, TextureQuantity) and at.kind != "aspecular"]
+    if rows and isinstance(material.model, Diffracting):
+        warning = sampling_warning(measured.factors[rows], measured.wavelengths_nm)
+        if warning:
+            logger.warning("%s: %s", material.context.source, warning)
 
 
 def geometries_of(targets: Sequence[Target]) -> list[Geometry]:
