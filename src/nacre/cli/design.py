@@ -287,11 +287,11 @@ def fabricate(
         if not (0 < width <= 1000 and 0 < height <= 1000):
             raise NacreError(f'--size-mm = "{size_mm}" must lie between 0 and 1000 mm')
         area = (width, height)
-    written = write(source, target, path, calibration=_curves(calibration), size_mm=area, levels=levels, seed=seed)
-    for file in written:
+    paths = write(source, target, path, calibration=_curves(calibration), size_mm=area, levels=levels, seed=seed)
+    for file in paths:
         common.note(str(file))
     if target in ("png16", "tiff16"):
-        for beside in (file for file in written if file.suffix == ".json"):
+        for beside in (file for file in paths if file.suffix == ".json"):
             _print_curve(beside)
 
 

@@ -194,7 +194,7 @@ def _picture(folder: Path, out: Path, spec: PictureSpec, is_quick: bool) -> Item
 
     def make() -> None:
         bsdf = _solved(folder, out, spec.recipe, "reference" if is_random_walk else spec.quality)
-        look = {**_look(spec), "view_turn_deg": spec.view_turn_deg, "light_turn_deg": spec.light_turn_deg}
+        look = {**_appearance(spec), "view_turn_deg": spec.view_turn_deg, "light_turn_deg": spec.light_turn_deg}
         _rendered(bsdf, output=path, size=_size(side, spec.ratio), spp=spp, progress=False, **look)
 
     return Item(spec.title, path, seconds, make)
@@ -212,7 +212,7 @@ def _animation(folder: Path, out: Path, spec: AnimationSpec, is_quick: bool) -> 
         moving = spec.animate in ("light", "view")
         material = _solved(folder, out, spec.recipe, spec.quality) if moving else _find(folder, out, spec.recipe)
         size = _size(side, spec.ratio)
-        animate(material, spec.animate, path, frames=frames, size=size, spp=spp, progress=False, **_look(spec))
+        animate(material, spec.animate, path, frames=frames, size=size, spp=spp, progress=False, **_appearance(spec))
 
     return Item(spec.title, path, FRAME_S[is_quick] * frames, make)
 
@@ -328,7 +328,7 @@ def _solved(folder: Path, out: Path, recipe: str, quality: str | None) -> Any:
     return (material.vary({"quality": quality}) if quality else material).bsdf()
 
 
-def _look(spec: PictureSpec) -> dict[str, Any]:
+def _appearance(spec: PictureSpec) -> dict[str, Any]:
     return {
         "scene": spec.scene, "shape": spec.shape, "light": spec.light, "illuminant": spec.illuminant,
         "components": spec.components, "exposure": spec.exposure, "zoom": spec.zoom,

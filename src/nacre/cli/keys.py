@@ -161,21 +161,21 @@ def _all(file: Kind) -> Iterator[str]:
 
 
 def _one(file: Kind, place: str) -> Iterator[str]:
-    written, key = find_key(file.models, place, file.name)
-    yield f"{file.name}.{written}"
+    place_in_file, key = find_key(file.models, place, file.name)
+    yield f"{file.name}.{place_in_file}"
     yield from _wrapped(key.meaning, "  ")
     yield ""
     if key.unit:
         yield from _hanging("  unit     ", key.unit)
-    yield from _hanging("  value    ", value_text(file, written, key))
-    yield from _hanging("  default  ", default_text(file, written, key).removeprefix("default "))
+    yield from _hanging("  value    ", value_text(file, place_in_file, key))
+    yield from _hanging("  default  ", default_text(file, place_in_file, key).removeprefix("default "))
     if key.examples:
         yield ""
-        for text in [*key.examples, *TextureSpec.forms[1:2] * (file.varies(written) and not key.tables)]:
-            yield from _snippet(written, tomllib.loads(f"value = {text}")["value"])
+        for text in [*key.examples, *TextureSpec.forms[1:2] * (file.varies(place_in_file) and not key.tables)]:
+            yield from _snippet(place_in_file, tomllib.loads(f"value = {text}")["value"])
     for table in key.tables:
         for below, inner in tables_below(table):
-            yield from _table(file, f"{written}{'[]' if key.is_list else ''}.{below}".rstrip("."), inner)
+            yield from _table(file, f"{place_in_file}{'[]' if key.is_list else ''}.{below}".rstrip("."), inner)
 
 
 def _table(file: Kind, place: str, table: type[RecipeModel]) -> Iterator[str]:
@@ -237,9 +237,9 @@ def _chosen(file: Kind, place: str) -> Iterator[tuple[Kind, str, Key]]:
     models: Sequence[type[RecipeModel]] = file.models
     start = ""
     if place:
-        written, key = find_key(file.models, place, file.name)
-        yield file, written, key
-        models, start = key.tables, f"{written}{'[]' if key.is_list else ''}"
+        place_in_file, key = find_key(file.models, place, file.name)
+        yield file, place_in_file, key
+        models, start = key.tables, f"{place_in_file}{'[]' if key.is_list else ''}"
     for model in models:
         for below, table in tables_below(model):
             for key in keys_of(table):

@@ -167,8 +167,8 @@ def examples(names: tuple[str, ...], folder: str | None, as_json: bool) -> None:
     from nacre.material.examples import examples as shipped
 
     if folder is not None:
-        written = copy_examples(list(names), Path(folder))
-        common.note(f"{folder}: {len(written)} files")
+        paths = copy_examples(list(names), Path(folder))
+        common.note(f"{folder}: {len(paths)} files")
         return
     matches = [e for e in shipped() if not names or any(n in e.name or n == e.family for n in names)]
     if as_json:
@@ -291,10 +291,10 @@ def _opened(file: str, options: ReadOptions) -> list[Measurement]:
                     raise NacreError(str(error)) from None
                 allowed = f"; allowed: {', '.join(error.choices)}" if error.choices else ""
                 raise NacreError(f"{error}; decide with {option}{allowed}") from None
-            options = replace(options, **{error.option: _asked(error, option)})
+            options = replace(options, **{error.option: _prompted(error, option)})
 
 
-def _asked(error: AmbiguousFileError, option: str) -> Any:
+def _prompted(error: AmbiguousFileError, option: str) -> Any:
     """Return the user's answer, in the option's type."""
     kind = click.Choice(error.choices) if error.choices else None
     answer = click.prompt(f"{error}\n{option}", type=kind, err=True)

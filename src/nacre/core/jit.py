@@ -166,7 +166,7 @@ def _compiled_by_one(dispatcher: Any) -> Any:
     name = f"{function.__module__}.{function.__qualname__}.lock"
     lock = FileLock(Path(dispatcher.stats.cache_path, name), timeout=LONGEST_COMPILATION_S)
 
-    def load_or_hold(*key: Any) -> Any:
+    def load_or_lock(*key: Any) -> Any:
         overload = load(*key)
         if overload is None:
             with contextlib.suppress(OSError, NotImplementedError, Timeout):  # a file system without locks
@@ -181,7 +181,7 @@ def _compiled_by_one(dispatcher: Any) -> Any:
             finally:
                 lock.release()
 
-    dispatcher._cache.load_overload, dispatcher.compile = load_or_hold, compile_once
+    dispatcher._cache.load_overload, dispatcher.compile = load_or_lock, compile_once
     return dispatcher
 
 

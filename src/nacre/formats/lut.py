@@ -450,14 +450,14 @@ def check_folder(folder: str | Path) -> Path:
         raise NacreError(f"{path}: the folder {parent} does not exist")
     if path.is_symlink() or (path.exists() and not path.is_dir()):
         raise NacreError(f"{path}: is not a folder; give the name of a folder for the tables")
-    if path.is_dir() and any(path.iterdir()) and not _is_ours(path):
+    if path.is_dir() and any(path.iterdir()) and not _is_own_folder(path):
         raise NacreError(f"{path}: contains other files; give a new or an empty folder for the tables")
     if not os.access(parent, os.W_OK):
         raise NacreError(f"{path}: the folder {parent} cannot be written")
     return path
 
 
-def _is_ours(folder: Path) -> bool:
+def _is_own_folder(folder: Path) -> bool:
     """Whether the manifest lists all files of a folder."""
     try:
         known = json.loads(plain(folder / MANIFEST).read_text(encoding="utf-8"))["files"]

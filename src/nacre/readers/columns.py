@@ -242,22 +242,22 @@ def interpret(
         if is_ignored[i] or name == "-":
             continue
         unit = table.units[i]
-        found_meanings = (Meaning("spectral", unit),) if name == "spectral" else meanings(name, unit)
-        if not found_meanings and options.assumed_quantity is not None and parse_unit(name) == "%":
-            found_meanings = (Meaning(options.assumed_quantity, "%"),)
-        if found_meanings and found_meanings == (Meaning("", found_meanings[0].unit, is_error=True),):
-            unit = found_meanings[0].unit
-            found_meanings = () if before is None else (replace(before, is_error=True, unit=unit or before.unit),)
-        if not found_meanings:
+        candidates = (Meaning("spectral", unit),) if name == "spectral" else meanings(name, unit)
+        if not candidates and options.assumed_quantity is not None and parse_unit(name) == "%":
+            candidates = (Meaning(options.assumed_quantity, "%"),)
+        if candidates and candidates == (Meaning("", candidates[0].unit, is_error=True),):
+            unit = candidates[0].unit
+            candidates = () if before is None else (replace(before, is_error=True, unit=unit or before.unit),)
+        if not candidates:
             # data frames and ImageJ count rows in a first column without a heading
             if not name.strip() and i == 0 and all(cell.strip().isdigit() for cell in table.column_text(i)):
                 result.unused.append(headings[i] or "row number")
             else:
                 unknown.append(headings[i] or f"column {i + 1}")
             continue
-        chosen = [meaning for meaning in found_meanings if meaning.quantity in wanted or meaning.quantity == "spectral"]
-        chosen = chosen or _of_bare_unit(name, wanted)
-        if chosen and chosen[0].quantity not in TEXT_QUANTITIES and any(m.quantity == "name" for m in found_meanings):
+        chosen = [meaning for meaning in candidates if meaning.quantity in wanted or meaning.quantity == "spectral"]
+        chosen = chosen or _of_unit_heading(name, wanted)
+        if chosen and chosen[0].quantity not in TEXT_QUANTITIES and any(m.quantity == "name" for m in candidates):
             chosen = chosen if table.is_numeric(i) else []  # "sample" heads names as well as counts
         if {meaning.quantity for meaning in chosen} == {"absorptance", "absorbance"}:
             chosen = []  # "A" beside R and T
@@ -278,7 +278,7 @@ def interpret(
     return result
 
 
-def _of_bare_unit(name: str, wanted: Collection[str]) -> list[Meaning]:
+def _of_unit_heading(name: str, wanted: Collection[str]) -> list[Meaning]:
     """Return the only wanted quantity of the dimension of a heading that is a unit, such as "nm"."""
     unit = parse_unit(name)
     if unit is None:

@@ -379,7 +379,7 @@ def read_regress_pro(path: Path, options: ReadOptions) -> list[Measurement]:
 
 HEAD_LINES = 10
 HEADING = re.compile(r"^\s*;\s*(WAVELENGTH|ENERGY|WAVENUMBER)\b(.*)$", re.IGNORECASE)
-BARE = re.compile(r"[ \t]*[\t,;]([\d.\t,; ]+)$")  # an empty cell, then the angles
+ANGLES_ONLY = re.compile(r"[ \t]*[\t,;]([\d.\t,; ]+)$")  # an empty cell, then the angles
 MOST_PER_CENT, MOST_PSI_DEG = 110.0, 90.0
 UNIT = {"WAVELENGTH": "nm", "ENERGY": "eV", "WAVENUMBER": "1/cm"}
 
@@ -390,12 +390,12 @@ def sniff_spectraray(head: FileHead) -> float:
         match = HEADING.match(line)
         if match and numbers(match[2]):
             return CERTAIN
-    return LIKELY if _bare_angles(head.lines) else 0.0
+    return LIKELY if _unnamed_angles(head.lines) else 0.0
 
 
-def _bare_angles(lines: list[str]) -> list[float]:
+def _unnamed_angles(lines: list[str]) -> list[float]:
     """Return the angles in a first line that holds each twice or sixteen times behind an empty cell."""
-    match = BARE.match(lines[0].rstrip("\t,; ")) if len(lines) > 2 else None
+    match = ANGLES_ONLY.match(lines[0].rstrip("\t,; ")) if len(lines) > 2 else None
     angles = (numbers(match[1]) or []) if match else []
     sizes = {len(list(same)) for _, same in groupby(angles)}
     below = (numbers(lines[1].rstrip("\t,; ")) or []) if angles else []
@@ -410,7 +410,7 @@ def read_spectraray(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: columns that are neither pairs nor sixteen per angle.
     """
     lines = text_lines(path)
-    unnamed = _bare_angles(lines)
+    unnamed = _unnamed_angles(lines)
     start = 0 if unnamed else next((i for i, line in enumerate(lines) if HEADING.match(line)), None)
     if start is None:
         raise NacreError(f"{path}: has no heading of SpectraRay, such as ; WAVELENGTH 70 70")
@@ -754,7 +754,7 @@ def sniff_woollam_text(head: FileHead) -> float:
     if any(row is None or len(row) not in (4, 6) for row in rows):
         return 0.0
     table = np.array([row[:4] for row in rows if row], dtype=float)
-    return WITHOUT_HEADING if len(table) > 3 and _looks_like_psi_delta(table) else 0.0
+    return WITHOUT_HEADING if len(table) > 3 and _may_be_psi_delta(table) else 0.0
 
 
 def _heading(lines: list[str]) -> tuple[int, str, bool] | None:
@@ -777,7 +777,7 @@ def _heading(lines: list[str]) -> tuple[int, str, bool] | None:
     return None
 
 
-def _looks_like_psi_delta(table: np.ndarray) -> bool:
+def _may_be_psi_delta(table: np.ndarray) -> bool:
     """Whether four unnamed columns are wavelength, a few incidence angles, Psi and Delta."""
     wavelength, angle, psi, delta = table.T
     in_range = (wavelength > 0.1) & (wavelength < 60_000) & (angle > 10) & (angle < 90)

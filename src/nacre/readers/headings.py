@@ -59,7 +59,7 @@ _SUFFIX_UNIT = re.compile(
     r"%|percent|per_cent|per cent|pct|deg|degrees?|°|rad|px|pixels?)\.?",
     re.IGNORECASE,
 )  # fmt: skip
-_BARE_UNITS = _by_word(VOCABULARY["bare_units"])
+_QUANTITY_OF_UNIT = _by_word(VOCABULARY["bare_units"])
 _FILLERS = frozenset(VOCABULARY["lists"]["fillers"].split())
 _BRACKET_FILLERS = frozenset(VOCABULARY["lists"]["bracket_fillers"].split())
 
@@ -133,8 +133,8 @@ def meanings(heading: str, unit: str = "") -> tuple[Meaning, ...]:
     if re.match(r"-\s?[^\W\d_]", text):
         return tuple(replace(meaning, is_negated=True) for meaning in meanings(text[1:].strip(), unit))
     own_unit = parse_unit(text)
-    if own_unit in _BARE_UNITS and len(text) > 1:
-        return (Meaning(_BARE_UNITS[own_unit], own_unit),) if unit in ("", own_unit) else ()
+    if own_unit in _QUANTITY_OF_UNIT and len(text) > 1:
+        return (Meaning(_QUANTITY_OF_UNIT[own_unit], own_unit),) if unit in ("", own_unit) else ()
     unbracketed = _BRACKET.sub(r" \1 ", text)
     parsed = (_of_core(unbracketed, Meaning("", unit)) if _is_function(text) else ()) or _of_bracketed(text, unit)
     if text[:1] == "w" and any(one.quantity == "angular_frequency" for one in parsed):  # "w[nm]" names no time

@@ -126,7 +126,7 @@ def kind_of(table: TextTable, options: ReadOptions) -> Kind:
         if options.expects in HEADERLESS or options.expects == "spectrum":
             assert options.expects is not None
             return options.expects
-        if _looks_like_constants(table):
+        if _may_be_constants(table):
             return "constants"
         cure = "state quantity or columns = [...]" if table.width == 2 else "name them: columns = [...]"
         if table.width >= LEAST_OF_MAP <= len(table.rows):
@@ -165,7 +165,7 @@ def _is_name(heading: str) -> bool:
     return any(meaning.quantity in ("name", "row_number") for meaning in meanings(heading))
 
 
-def _looks_like_constants(table: TextTable) -> bool:
+def _may_be_constants(table: TextTable) -> bool:
     """Whether three columns without headings can only be nm, n and k of a tabulated material.
 
     Energies are below 100, and dielectric functions exceed the bounds of n and k or are negative.

@@ -36,7 +36,7 @@ REMARK_MARKS = ("#", "%", "!", "//", ";", "'", "*", "--")
 _FORTRAN = re.compile(r"([-+]?(?:\d+[.,]?\d*|[.,]\d+))[dDqQ]([-+]?\d+)")
 _PLAIN_NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?")
 _GROUPED = re.compile(r"[-+]?\d{1,3}(?:([,.'\u2019\u00a0\u202f ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?(?:[eE][-+]?\d+)?")
-_BARE_GROUPS = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
+_COMMA_GROUPS = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
 _WITH_UNIT = re.compile(r"([-+]?[\d.,]+(?:[eEdD][-+]?\d+)?)\s*(%|°|deg|nm|um|µm|μm|mm|Å|eV|px|cm-1)")
 _HEX = re.compile(r"#(?:[0-9a-fA-F]{6}|[0-9a-fA-F]{3}|[0-9a-fA-F]{8})")
 LINE_END = re.compile(r"\r\n|\r|\n")
@@ -647,7 +647,7 @@ def _marks(path: Path, rows: list[list[str]], lines: list[int], delimiter: str |
         decimal = decimals.pop()
         return decimal, "," if decimal == "." else "."
     with_point = any("." in cell and "," not in cell and _PLAIN_NUMBER.fullmatch(cell) for cell in cells)
-    are_groups = all(_BARE_GROUPS.fullmatch(cell) for cell in with_comma)
+    are_groups = all(_COMMA_GROUPS.fullmatch(cell) for cell in with_comma)
     if with_point and not are_groups:
         raise NacreError(f'{path}: fractions are written with commas ("{with_comma[0]}") and with points; use one mark')
     if with_point or any(cell.count(",") > 1 for cell in with_comma):
@@ -675,7 +675,7 @@ def _find_headings(above: list[_Line], width: int, delimiter: str | None) -> tup
     """
     units: list[str] = []
     used: set[int] = set()
-    is_apart = False  # whether a number lies between the line and the rows
+    is_separated = False  # whether a number lies between the line and the rows
     for line in reversed(above[-6:]):
         text = line.text.strip()
         if line.is_remark:
@@ -688,9 +688,9 @@ def _find_headings(above: list[_Line], width: int, delimiter: str | None) -> tup
             units, used = [unit_of(cell) for cell in unit_cells], {line.number}
             continue
         cells = _heading_cells(text, delimiter, width, units, is_remark=line.is_remark)
-        if cells is not None and is_apart and not all(meanings(cell) for cell in cells):
+        if cells is not None and is_separated and not all(meanings(cell) for cell in cells):
             break  # "Number of Zones" above its number
-        is_apart = is_apart or line.is_data
+        is_separated = is_separated or line.is_data
         if cells is not None:
             return cells, units, line.number, used | {line.number}
         # headings are never above titles, but above marks such as ">>>>>Begin Spectral Data<<<<<"

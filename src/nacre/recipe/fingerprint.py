@@ -47,7 +47,7 @@ def _plain(value: Any) -> Any:
     return dict(value) if isinstance(value, Mapping) else str(value)
 
 
-def file_digest(path: str | Path, seen: frozenset[Path] = frozenset()) -> str:
+def file_digest(path: str | Path, holders: frozenset[Path] = frozenset()) -> str:
     """Return a hash of a file's content and of the files that a scene or glTF names; "" if it is not a file."""
     path = Path(path)
     try:
@@ -60,8 +60,8 @@ def file_digest(path: str | Path, seen: frozenset[Path] = frozenset()) -> str:
             digest = hashlib.file_digest(file, "sha256")
         here = real(path)
         for other in named_files(path):
-            if other not in seen:
-                digest.update(file_digest(other, seen | {here}).encode())
+            if other not in holders:
+                digest.update(file_digest(other, holders | {here}).encode())
         return digest.hexdigest()
     except OSError:  # an invalid name or a file without read permission; the reader reports it
         return ""

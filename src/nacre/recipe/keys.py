@@ -129,25 +129,25 @@ def find_key(roots: Sequence[type[RecipeModel]], path: str, source: str) -> tupl
         RecipeError: there is no such key; with a suggestion.
     """
     models: Sequence[type[RecipeModel]] = roots
-    prefix, key_found = "", None
+    prefix, match = "", None
     for word in re.sub(r"\[\d*\]", "", path).split("."):
         # the most common alternative, the first table, comes last here
         keys = {key.name: key for model in reversed(models) for key in keys_of(model)}
-        key_found = next((keys[way] for way in spellings(word) if way in keys), None)
-        if key_found is None:
+        match = next((keys[way] for way in spellings(word) if way in keys), None)
+        if match is None:
             raise RecipeError(_unknown(word, keys, prefix, roots, source))
-        models = key_found.tables
-        prefix = f"{prefix}.{key_found.name}".lstrip(".") + ("[]" if key_found.is_list else "")
-    assert key_found is not None  # a split text has at least one word
-    return prefix.removesuffix("[]"), key_found
+        models = match.tables
+        prefix = f"{prefix}.{match.name}".lstrip(".") + ("[]" if match.is_list else "")
+    assert match is not None  # a split text has at least one word
+    return prefix.removesuffix("[]"), match
 
 
 def as_written(value: Any) -> Any:
     """Return a default as it is written in a recipe: a model as a table with its set keys, or as its short form."""
     if isinstance(value, pydantic.BaseModel):
         set_keys = {key: as_written(getattr(value, key)) for key in value.model_fields_set}
-        is_bare = list(set_keys) in (["name"], ["n"]) and isinstance(value, RecipeModel) and value.shorthands
-        return next(iter(set_keys.values())) if is_bare else (set_keys or None)
+        is_shorthand = list(set_keys) in (["name"], ["n"]) and isinstance(value, RecipeModel) and value.shorthands
+        return next(iter(set_keys.values())) if is_shorthand else (set_keys or None)
     if isinstance(value, Mapping):
         return dict(value) or None
     if isinstance(value, tuple | list):
@@ -163,7 +163,7 @@ def toml_value(value: Any) -> str:
         '{n = 1.5}'
     """
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_bare(key)} = {toml_value(inner)}" for key, inner in value.items()) + "}"
+        return "{" + ", ".join(f"{_toml_key(key)} = {toml_value(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(toml_value(inner) for inner in value) + "]"
     if isinstance(value, float):
@@ -200,7 +200,7 @@ def one_sentence(model: type[RecipeModel]) -> str:
     return " ".join((model.__doc__ or "").partition("\n\n")[0].split()).replace("`", "")
 
 
-def _bare(key: str) -> str:
+def _toml_key(key: str) -> str:
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key, ensure_ascii=False)
 
 
@@ -431,7 +431,9 @@ class _Generator(GenerateJsonSchema):
         _add_units(made)
         rules = made.setdefault("allOf", [])
         if model.one_of:
-            rules.append({"oneOf": [{"anyOf": [_given(word, made) for word in c.split("|")]} for c in model.one_of]})
+            rules.append(
+                {"oneOf": [{"anyOf": [_key_is_set(word, made) for word in c.split("|")]} for c in model.one_of]}
+            )
         if not rules:
             del made["allOf"]
         if model.shorthands:
@@ -439,7 +441,7 @@ class _Generator(GenerateJsonSchema):
         return made
 
 
-def _given(key: str, made: Mapping[str, Any]) -> dict[str, Any]:
+def _key_is_set(key: str, made: Mapping[str, Any]) -> dict[str, Any]:
     """Return the rule that a key is given, for a length in any unit."""
     names = [name for name in spellings(key) if name in made["properties"]]
     return {"anyOf": [{"required": [name]} for name in names]} if len(names) > 1 else {"required": [key]}
@@ -498,10 +500,12 @@ def _inlined(schema: Any, definitions: Mapping[str, Any], separate: set[str]) ->
 
 def _recursive(definitions: Mapping[str, Any]) -> set[str]:
     """Return the names of definitions that contain themselves."""
-    reached = {name: _references(table) for name, table in definitions.items()}
-    for _ in reached:
-        reached = {name: names.union(*(reached[n] for n in names if n in reached)) for name, names in reached.items()}
-    return {name for name, names in reached.items() if name in names}
+    referenced = {name: _references(table) for name, table in definitions.items()}
+    for _ in referenced:
+        referenced = {
+            name: names.union(*(referenced[n] for n in names if n in referenced)) for name, names in referenced.items()
+        }
+    return {name for name, names in referenced.items() if name in names}
 
 
 def _let_vary(schema: Any, path: Sequence[str], texture: Mapping[str, Any]) -> None:

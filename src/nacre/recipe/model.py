@@ -256,8 +256,8 @@ def _refuse_text(schema: Any) -> None:
         elif kind == "int":
             integer = dict(schema)
             schema.clear()
-            schema.update(core_schema.no_info_before_validator_function(_whole, integer))
-        elif kind == "function-before" and schema["function"]["function"] is _whole:
+            schema.update(core_schema.no_info_before_validator_function(_integer_input, integer))
+        elif kind == "function-before" and schema["function"]["function"] is _integer_input:
             return  # a nested table that is strict already
         else:
             for key, inner in schema.items():
@@ -265,7 +265,7 @@ def _refuse_text(schema: Any) -> None:
                     _refuse_text(inner)
 
 
-def _whole(value: Any) -> Any:
+def _integer_input(value: Any) -> Any:
     if isinstance(value, bool | str | bytes):
         raise PydanticCustomError("int_type", "Input should be a whole number")
     return value
@@ -481,8 +481,8 @@ def _first_line(
 def _number_as_text(problem: Any, data: Mapping[str, Any]) -> str | None:
     """Return the message for a number given as text, or None for other problems."""
     value = problem["input"]
-    wants_number = problem["type"] in ("float_type", "int_type") or " is not a " in problem["msg"]
-    if not wants_number or not isinstance(value, str):
+    needs_number = problem["type"] in ("float_type", "int_type") or " is not a " in problem["msg"]
+    if not needs_number or not isinstance(value, str):
         return None
     key = _key(_own_spelling(data, problem["loc"]))
     word = re.sub(r"(\[\d+\])+$", "", key)

@@ -22,7 +22,7 @@ NESTED = "brackets or dotted keys are nested without end"
 MAX_CACHED = 20_000  # characters
 MAX_TABLE_DEPTH = 48  # nested recipes and formulas have smaller limits
 MAX_VALUES = 2_000_000  # upper limit for a file of 4 MiB
-LARGEST_WHOLE = 2**63  # TOML's integers have 64 bits
+LARGEST_INTEGER = 2**63  # TOML's integers have 64 bits
 MAX_DEPTH = 8  # depth of nested recipes
 _PLACE = re.compile(r"\(at line (\d+), column (\d+)\)")
 _CURLY = "\u201c\u201d\u201e\u2018\u2019\u00ab\u00bb"  # typographic quotation marks
@@ -235,7 +235,7 @@ def _copied(value: Any, source: str, key: str, depth: int, count: list[int]) -> 
         for inner, content in value.items():
             if not isinstance(inner, str):
                 where = f" of {key[:60]}" if key else ""
-                raise RecipeError(f"{source}: key {_shown(inner)}{where} is not text, as every key of a recipe is")
+                raise RecipeError(f"{source}: key {_key_text(inner)}{where} is not text, as every key of a recipe is")
             made[str(inner)] = _copied(content, source, f"{key}.{inner}" if key else inner, depth + 1, count)
         return made
     if kind is list or isinstance(value, list | tuple):
@@ -246,7 +246,7 @@ def _copied(value: Any, source: str, key: str, depth: int, count: list[int]) -> 
         return _copied(value.tolist(), source, key, depth, count)
     if isinstance(value, str) and not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
         raise RecipeError(f"{source}: {key[:60]} = {ascii(value):.60} holds a lone surrogate, not valid Unicode")
-    if isinstance(value, int) and not isinstance(value, bool) and abs(value) >= LARGEST_WHOLE:
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) >= LARGEST_INTEGER:
         raise RecipeError(
             f"{source}: {key[:60]} is a whole number of over 64 bits, about 2^{value.bit_length() - 1}; "
             "write it with an exponent, such as 1e30, if it is meant"
@@ -254,7 +254,7 @@ def _copied(value: Any, source: str, key: str, depth: int, count: list[int]) -> 
     return value
 
 
-def _shown(key: object) -> str:
+def _key_text(key: object) -> str:
     try:
         return " ".join(repr(key).split())[:40]
     except Exception:  # a foreign class

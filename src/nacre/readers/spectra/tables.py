@@ -113,18 +113,18 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     axes = [place for place, name in enumerate(names) if _WAVELENGTH.search(name)]
     pairs = [place for place in axes if place + 1 not in axes]
     if len(pairs) > 1:
-        found_spectra = _pairs(table, names, pairs, options, notes)
+        measurements = _pairs(table, names, pairs, options, notes)
     elif table.is_cut:
         raise NacreError(f"{path}: its last row has fewer cells than the others; the file is cut")
     elif not names:
         return [_plain(path, _numbers(table), options, notes, axis_unit, ordinate)]
     else:
-        found_spectra = _columns(path, _numbers(table), names, metadata, options, notes, ordinate)
+        measurements = _columns(path, _numbers(table), names, metadata, options, notes, ordinate)
     above = read_preamble(table.titles)
     remarks = instead_of(above, options.angle_deg)
     if options.angle_deg is not None:  # the user's statement precedes
         above = replace(above, angle_deg=None)
-    with_above = [with_preamble(each, above) for each in found_spectra]
+    with_above = [with_preamble(each, above) for each in measurements]
     return common.choose(path, [replace(each, assumed=(*each.assumed, *remarks)) for each in with_above], options)
 
 
@@ -150,7 +150,7 @@ def of_samples(table: TextTable, options: ReadOptions) -> list[Measurement] | No
     if label is not None and label.quantity not in common.QUANTITIES:
         return None
     if label is None and options.quantity is None and options.expects is None and len(samples) > 1:
-        problem = f"{table.path}: the columns{_shown([(name, np.zeros(0)) for name in names])} have no quantity"
+        problem = f"{table.path}: the columns{_quoted([(name, np.zeros(0)) for name in names])} have no quantity"
         raise AmbiguousFileError(problem, "quantity", common.QUANTITIES)
     if label is None and options.assumed_quantity in common.QUANTITIES and options.expects == "spectrum":
         if options.spectrum is None and len(samples) < 2:
@@ -363,7 +363,7 @@ def _labels(
         )
     if stated is None and len(columns) > 1 and any(heading.strip().lower() in _RAW for heading, _ in columns):
         raise AmbiguousFileError(
-            f"{path}: the columns{_shown(columns)} are signals of a sample and of a reference or of darkness; divide "
+            f"{path}: the columns{_quoted(columns)} are signals of a sample and of a reference or of darkness; divide "
             "them, or state the quantity of one column and ignore the others",
             "quantity",
             common.QUANTITIES,
@@ -380,7 +380,7 @@ def _labels(
     decided: dict[str, Label] = {}
     for quantity in dict.fromkeys(label.quantity for label in labels if label.factor is None):
         members = [values for label, (_, values) in zip(labels, columns, strict=True) if label.quantity == quantity]
-        headings = _shown(columns)
+        headings = _quoted(columns)
         unnamed = f"no quantity in the heading{headings}" if headings else "no quantity"
         what = f"{quantity} without a unit" if quantity else unnamed
         size_x, size_y = np.tile(x, len(members)), np.concatenate(members)
@@ -388,7 +388,7 @@ def _labels(
     return [decided[label.quantity] if label.factor is None else label for label in labels]
 
 
-def _shown(columns: Sequence[tuple[str, Array]]) -> str:
+def _quoted(columns: Sequence[tuple[str, Array]]) -> str:
     headings = [heading for heading, _ in columns if heading]
     more = f" and {len(headings) - 3} more" if len(headings) > 3 else ""
     return " " + ", ".join(f'"{heading[:20]}"' for heading in headings[:3]) + more if headings else ""
