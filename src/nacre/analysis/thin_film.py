@@ -13,6 +13,7 @@ import numpy as np
 
 from nacre.analysis.lut import map_over_uv
 from nacre.bsdf import Bsdf
+from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.texture import ParameterAxis
 from nacre.core.arrays import Array
@@ -61,8 +62,10 @@ def fit_thin_film(material: Material) -> ThinFilmFit:
             f"{material.context.source}: mask blends materials over the surface; export each by itself, or "
             "use --to three or gltf"
         )
-    grid, reflectance, target = _mirror(material, 1e-6)
-    transmittance = material.spectrum(np.radians(ANGLES_DEG)).specular_transmittance
+    spectrum, target = _mirror(material, 1e-6)
+    grid, reflectance = spectrum.wavelengths_nm, spectrum.specular_reflectance
+    transmittance = spectrum.specular_transmittance
+    assert reflectance is not None
     transmits = transmittance is not None and float(transmittance.max()) > 1e-3
     candidates = [_fit_dielectric(target, grid, transmits)]
     if not transmits:  # a transmitting material stays a dielectric, even if a metal matches its reflection better
@@ -90,7 +93,8 @@ def _fit_share(material: Material, share: float, covering: Material) -> ThinFilm
     """Fit the film of a covered share, with the residual of the whole."""
     fit = fit_thin_film(covering)
     film = dataclasses.replace(fit.film, weight=share)
-    grid, _, target = _mirror(material)
+    spectrum, target = _mirror(material)
+    grid = spectrum.wavelengths_nm
     coated, uncovered = (
         np.asarray(lab_to_xyz(film_lab(f, grid))) for f in (film, dataclasses.replace(film, thickness_nm=0.0))
     )
@@ -250,7 +254,7 @@ def fit_thickness_map(material: Material, axis: ParameterAxis) -> ThicknessMapFi
     """
     low, high = float(axis.values[0]), float(axis.values[-1])
     values = np.linspace(low, high, VALUES)
-    targets = np.stack([_mirror(material.vary({axis.name: float(value)}))[2] for value in values])
+    targets = np.stack([_mirror(material.vary({axis.name: float(value)}))[1] for value in values])
     fits = [fit_thin_film(material.vary({axis.name: low + (high - low) * part})) for part in FITTED]
     grid = np.linspace(400.0, 700.0, BANDS)
     best: tuple[float, ThinFilmFit, Array, Array] | None = None
@@ -272,15 +276,15 @@ def fit_thickness_map(material: Material, axis: ParameterAxis) -> ThicknessMapFi
     return ThicknessMapFit(fit, thickness, values, residual, float(np.interp(image, unit, residual).mean()))
 
 
-def _mirror(material: Material, least: float = 0.0) -> tuple[Array, Array, Array]:
-    """Return wavelengths, specular reflectance `[angle, wavelength]` and CIELAB at `ANGLES_DEG`."""
+def _mirror(material: Material, least: float = 0.0) -> tuple[Spectrum, Array]:
+    """Return the spectrum at `ANGLES_DEG` and the CIELAB of its mirror direction, `[angle, 3]`."""
     spectrum = material.spectrum(np.radians(ANGLES_DEG))
-    reflectance, grid = spectrum.specular_reflectance, spectrum.wavelengths_nm
+    reflectance = spectrum.specular_reflectance
     if reflectance is None or reflectance.max() < least:
         raise UnsupportedError(
             f"{material.context.source}: has no mirror-like reflection, so no thin film represents it"
         )
-    return grid, reflectance, np.asarray(xyz_to_lab(spectrum_to_xyz(reflectance, grid)))
+    return spectrum, np.asarray(xyz_to_lab(spectrum_to_xyz(reflectance, spectrum.wavelengths_nm)))
 
 
 def _path(cost: Array) -> Array:
