@@ -36,11 +36,11 @@ function sender(model) {
 
 const written = (value) => String(Number(value.toPrecision(4)));
 
-function fillSliders(root, look, vary) {
-  if (root.dataset.shown !== String(look.shown)) {
+function fillSliders(root, appearance, vary) {
+  if (root.dataset.shown !== String(appearance.shown)) {
     root.replaceChildren();
-    root.dataset.shown = look.shown;
-    for (const { path, max } of look.numbers) {
+    root.dataset.shown = appearance.shown;
+    for (const { path, max } of appearance.numbers) {
       const label = make(root, "label"), range = { ...OWN_KEYS, type: "range", min: max / 200, max, step: max / 200, "data-path": path, "aria-label": path };
       make(label, "span", { textContent: path });
       const slider = make(label, "input", range), output = make(label, "output");
@@ -51,7 +51,7 @@ function fillSliders(root, look, vary) {
     }
   }
   const held = root.getRootNode().activeElement;
-  look.numbers.forEach(({ value }, i) => {
+  appearance.numbers.forEach(({ value }, i) => {
     const [, slider, output] = root.children[i].children;
     if (slider === held) return;        // its value is newer than the answer
     slider.value = value;
@@ -75,7 +75,7 @@ export function render({ model, el }) {
   root.addEventListener("keydown", (event) => {
     if (MOVES.has(event.key) && !event.ctrlKey && !event.metaKey && !event.altKey) event.stopPropagation();
   });
-  let view = null, look = null, room = null, card = null, isNear = false;      // card: the WEBGL_lose_context extension
+  let view = null, appearance = null, room = null, card = null, isNear = false;      // card: the WEBGL_lose_context extension
 
   // A browser has 16 WebGL contexts and blanks the oldest when another is created: only views near the screen have one, the others
   // show a picture.
@@ -92,7 +92,7 @@ export function render({ model, el }) {
     card = view.gl.getExtension("WEBGL_lose_context");
     canvas.addEventListener("webglcontextrestored", () => { picture.hidden = true; });
     view.setRoom(new Float32Array(room.buffer), room, null);
-    if (look) view.setLook(look);
+    if (appearance) view.setAppearance(appearance);
   }
 
   function sleep() {
@@ -110,15 +110,15 @@ export function render({ model, el }) {
   watch.observe(stage);
 
   function show(made) {
-    look = made;
-    state.textContent = `${look.name}: ${look.draft ? "draft" : "solved"}`;
-    root.dataset.state = look.draft ? "draft" : "settled";
-    root.dataset.seq = look.seq;
-    drawRibbon(ribbon, colours, look);
-    drawSpectrum(spectrum, look);
-    notes.textContent = look.notes.join(" ");
-    fillSliders(sliders, look, vary);
-    view?.setLook(look);
+    appearance = made;
+    state.textContent = `${appearance.name}: ${appearance.draft ? "draft" : "solved"}`;
+    root.dataset.state = appearance.draft ? "draft" : "settled";
+    root.dataset.seq = appearance.seq;
+    drawRibbon(ribbon, colours, appearance);
+    drawSpectrum(spectrum, appearance);
+    notes.textContent = appearance.notes.join(" ");
+    fillSliders(sliders, appearance, vary);
+    view?.setAppearance(appearance);
   }
 
   function receive(content, buffers) {

@@ -1,6 +1,6 @@
 // Colours at the geometries of multi-angle instruments, and texture; they follow the recipe while the panel is open.
 
-import { $, api, app, el, shortName, wholeText } from "./common.js";
+import { $, api, app, el, shortName, fullText } from "./common.js";
 import { cells } from "./report.js";
 
 let busy = false, again = false, done = "";       // done: the question that is answered in full
@@ -14,7 +14,7 @@ export async function updateAngles() {
   for (let fine = false; again || fine;) {
     if (again) fine = false;
     again = false;
-    const recipe = { text: await wholeText(), name: app.recipe.name }, lamp = $("lamp").value;
+    const recipe = { text: await fullText(), name: app.recipe.name }, lamp = $("lamp").value;
     const key = [lamp, recipe.name, recipe.text].join("\n");
     if (key === done) { fine = false; continue; }
     try {

@@ -33,8 +33,8 @@ function curveDrawer(svg) {
   };
 }
 
-export function total(look) {
-  return look.mirror.map((value, i) => value + look.gloss[i] + look.spread[i]);
+export function total(appearance) {
+  return appearance.mirror.map((value, i) => value + appearance.gloss[i] + appearance.spread[i]);
 }
 
 // Reduce the chroma of colours outside sRGB at constant luminance, as on the sphere.
@@ -72,8 +72,8 @@ export function hex(lightness, a, b) {
   return `#${shown(...rgb).map((c) => c.toString(16).padStart(2, "0")).join("")}`;
 }
 
-export function drawRibbon(canvas, text, look) {
-  const context = canvas.getContext("2d", { willReadFrequently: true }), all = total(look), count = all.length / 3;
+export function drawRibbon(canvas, text, appearance) {
+  const context = canvas.getContext("2d", { willReadFrequently: true }), all = total(appearance), count = all.length / 3;
   const row = context.createImageData(canvas.width, 1);
   for (let x = 0; x < canvas.width; x++) {
     const at = (x / (canvas.width - 1)) * (count - 1), low = Math.min(Math.floor(at), count - 2), part = at - low;
@@ -81,18 +81,18 @@ export function drawRibbon(canvas, text, look) {
     row.data.set([...shown(...rgb), 255], 4 * x);
   }
   context.putImageData(row, 0, 0);
-  text.textContent = look.shown_deg.map((angle, i) => `${angle}°: ${look.swatches[0].hex[i]}`).join("   ");
+  text.textContent = appearance.shown_deg.map((angle, i) => `${angle}°: ${appearance.swatches[0].hex[i]}`).join("   ");
 }
 
 // Reflectance in the chart: of polarised light, if that is selected.
-const reflectance = (look) => look.polarised ?? look.total;
+const reflectance = (appearance) => appearance.polarised ?? appearance.total;
 
 // `measured`: curves of a dropped file, drawn dotted.
-export function drawSpectrum(svg, look, other, measured = []) {
+export function drawSpectrum(svg, appearance, other, measured = []) {
   const draw = curveDrawer(svg);
   clear(svg);
-  const [left, right, top, bottom] = [26, 276, 6, 128], looks = other ? [other, look] : [look];
-  const x = (nm) => left + ((nm - 380) / 400) * (right - left), peak = Math.max(...looks.map((one) => Math.max(...reflectance(one))), ...measured.map(({ values }) => Math.max(...values)));
+  const [left, right, top, bottom] = [26, 276, 6, 128], appearances = other ? [other, appearance] : [appearance];
+  const x = (nm) => left + ((nm - 380) / 400) * (right - left), peak = Math.max(...appearances.map((one) => Math.max(...reflectance(one))), ...measured.map(({ values }) => Math.max(...values)));
   const most = peak > 1.001 ? peak : [0.05, 0.1, 0.2, 0.5, 1].find((m) => peak <= m) ?? 1;
   const y = (value) => bottom - (value / most) * (bottom - top);
   for (const share of [0, 0.5, 1]) {
@@ -100,16 +100,16 @@ export function drawSpectrum(svg, look, other, measured = []) {
     add(svg, "text", { x: left - 4, y: y(share * most) + 3, "text-anchor": "end" }, Number((share * most).toPrecision(3)));
   }
   for (const nm of [400, 500, 600, 700]) add(svg, "text", { x: x(nm), y: bottom + 13, "text-anchor": "middle" }, `${nm}${nm === 700 ? " nm" : ""}`);
-  for (const one of looks) {
+  for (const one of appearances) {
     const { wavelengths: lam, shown_deg } = one, values = reflectance(one);
     shown_deg.forEach((_, row) => {
       const points = [];
       for (let i = 0; i < lam.length; i++) if (lam[i] >= 380 && lam[i] <= 780) points.push([x(lam[i]), y(values[row * lam.length + i])]);
-      draw(points, looks.length > 1 && one === other, DASHES[row]);
+      draw(points, appearances.length > 1 && one === other, DASHES[row]);
     });
   }
   for (const { nm, values } of measured) draw(nm.map((lam, i) => [x(lam), y(Math.max(values[i], 0))]), true, "1 2");
-  look.shown_deg.forEach((angle, row) => {
+  appearance.shown_deg.forEach((angle, row) => {
     add(svg, "line", { x1: left + 54 * row, x2: left + 54 * row + 18, y1: 146, y2: 146, class: "curve", "stroke-dasharray": DASHES[row] });
     add(svg, "text", { x: left + 22 + 54 * row, y: 149 }, `${angle}°`);
   });
@@ -152,7 +152,7 @@ export function drawEllipsometry(svg, measured, computed) {
 }
 
 // `least`: smallest extent of the axes.
-export function drawTrack(svg, look, other, least) {
+export function drawTrack(svg, appearance, other, least) {
   const draw = curveDrawer(svg);
   clear(svg);
   const track = (one) => {
@@ -160,7 +160,7 @@ export function drawTrack(svg, look, other, least) {
     for (let i = 0; i < all.length / 3; i++) points.push(toLab(all[3 * i], all[3 * i + 1], all[3 * i + 2]));
     return { all, points, is: one };
   };
-  const tracks = (other ? [other, look] : [look]).map(track);
+  const tracks = (other ? [other, appearance] : [appearance]).map(track);
   const reach = Math.max(20, least, ...tracks.flatMap(({ points }) => points.map(([, a, b]) => Math.max(Math.abs(a), Math.abs(b))))) * 1.1;
   const x = (a) => 140 + (a / reach) * 88, y = (b) => 95 - (b / reach) * 88;
   add(svg, "line", { x1: 52, x2: 228, y1: 95, y2: 95, class: "axis" });
@@ -186,11 +186,11 @@ export function drawTrack(svg, look, other, least) {
   return { x, y };
 }
 
-export function drawSwatches(table, look, other) {
+export function drawSwatches(table, appearance, other) {
   const make = (tag, props) => Object.assign(document.createElement(tag), props);
   const head = document.createElement("tr");
-  head.append(make("th", { textContent: "Lamp", scope: "col" }), ...look.shown_deg.map((angle) => make("th", { textContent: `${angle}°`, scope: "col" })));
-  const rows = look.swatches.map(({ lamp, hex, lab: values }, k) => {
+  head.append(make("th", { textContent: "Lamp", scope: "col" }), ...appearance.shown_deg.map((angle) => make("th", { textContent: `${angle}°`, scope: "col" })));
+  const rows = appearance.swatches.map(({ lamp, hex, lab: values }, k) => {
     const row = document.createElement("tr");
     row.append(make("th", { textContent: lamp, scope: "row" }));
     hex.forEach((colour, i) => {
@@ -201,7 +201,7 @@ export function drawSwatches(table, look, other) {
         made.style.color = luminance(fill) > 0.179 ? "#000" : "#fff";
         return made;
       };
-      const cell = document.createElement("td"), differs = look.difference?.[k]?.[i];
+      const cell = document.createElement("td"), differs = appearance.difference?.[k]?.[i];
       if (other) cell.append(chip("A ", colour), chip("B ", other.swatches[k].hex[i]));
       else cell.append(chip("", colour));
       cell.append(values[i].map((v) => Math.round(v)).join(" "));

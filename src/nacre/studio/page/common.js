@@ -53,7 +53,7 @@ export function setStatus(kind, text, isNews = true) {
 }
 
 // Return the recipe's text after the server has applied all edits.
-export async function wholeText() {
+export async function fullText() {
   const until = performance.now() + 4000;
   while (app.recipe.edits.length && performance.now() < until) await new Promise((done) => setTimeout(done, 20));
   return app.recipe.text;

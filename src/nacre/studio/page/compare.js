@@ -1,6 +1,6 @@
 // Comparison of two appearances, and the history of the recipe as pictures.
 
-import { $, app, el, shortName, setStatus, wholeText } from "./common.js";
+import { $, app, el, shortName, setStatus, fullText } from "./common.js";
 
 const { recipe } = app;
 const THUMBNAIL = 56, RESTING_MS = 600;         // reading a picture back takes as long as drawing two, therefore only after a pause
@@ -10,10 +10,10 @@ const pictures = new Map(), colours = new Map();     // thumbnail of a recipe by
 
 // ---- A and B
 
-export const other = () => stored?.look ?? null;
+export const other = () => stored?.appearance ?? null;
 
 // Lab colours of B in a request; the server answers their difference from A.
-export const comparedLab = () => (stored ? { compared_lab: stored.look.swatches.map(({ lab }) => lab) } : {});
+export const comparedLab = () => (stored ? { compared_lab: stored.appearance.swatches.map(({ lab }) => lab) } : {});
 
 export const storedRecipe = () => (stored ? [{ text: stored.text, name: stored.name }] : []);
 
@@ -25,7 +25,7 @@ export const isStale = () => Boolean(stored) && ![stored.lamp, stored.failed].in
 export function question(seq, own) {
   if (!isStale() || recipe.edits.length) return own(seq);
   pending = { seq, lamp: $("lamp").value };
-  return { name: stored.name, text: stored.text, edits: [], lamp: pending.lamp, ...stored.look.incidence };
+  return { name: stored.name, text: stored.text, edits: [], lamp: pending.lamp, ...stored.appearance.incidence };
 }
 
 // Handle an answer for B; the request of the recipe follows. Return whether it was one.
@@ -36,7 +36,7 @@ export function handlesAnswer(answer) {
   pending = null;
   if (stored && answer.error) stored.failed = lamp;
   else if (stored) {
-    Object.assign(stored, { look: answer, lamp });
+    Object.assign(stored, { appearance: answer, lamp });
     if (app.view) app.view.setOther(answer);
   }
   show();
@@ -45,10 +45,10 @@ export function handlesAnswer(answer) {
 }
 
 async function store() {
-  const text = await wholeText(), look = app.lastGood;
-  if (!look) return;
+  const text = await fullText(), appearance = app.lastGood;
+  if (!appearance) return;
   const { name, version, saved } = recipe;
-  stored = { name, text, version, saved, look, lamp: $("lamp").value };
+  stored = { name, text, version, saved, appearance, lamp: $("lamp").value };
   put($("keep-b").textContent === "Store as B" ? "both" : side());
   setStatus("settled", `Stored as B: ${shortName(name)}`);
 }
@@ -74,8 +74,8 @@ async function swap() {
 
 const side = () => document.querySelector('input[name="side"]:checked').value;
 
-function put(wanted) {
-  document.querySelector(`input[name="side"][value="${wanted}"]`).checked = true;
+function put(chosenSide) {
+  document.querySelector(`input[name="side"][value="${chosenSide}"]`).checked = true;
   $("keep-b").textContent = stored ? "Replace B" : "Store as B";
   $("keep-b").title = stored ? `B is ${shortName(stored.name)}` : "Store this appearance to compare others with it";
   $("two").hidden = !stored;
@@ -86,22 +86,22 @@ function put(wanted) {
 }
 
 function show() {
-  const wanted = side(), at = Number($("split").value);
-  $("split").disabled = wanted !== "both";
-  $("side-a").hidden = !stored || wanted === "b";
-  $("side-b").hidden = !stored || wanted === "a";
+  const chosenSide = side(), at = Number($("split").value);
+  $("split").disabled = chosenSide !== "both";
+  $("side-a").hidden = !stored || chosenSide === "b";
+  $("side-b").hidden = !stored || chosenSide === "a";
   // B keeps the colours of its lamp until there are new ones
   $("side-b").textContent = stored && stored.lamp !== $("lamp").value ? `B under ${stored.lamp}` : "B";
-  $("cut").hidden = !stored || wanted !== "both";
+  $("cut").hidden = !stored || chosenSide !== "both";
   $("cut").style.left = `${at}%`;
-  if (app.view) app.view.show(wanted, at / 100);
+  if (app.view) app.view.show(chosenSide, at / 100);
 }
 
 // ---- the steps
 
 export function showHistory() {
-  const strip = $("history"), { past, at } = recipe, look = app.lastGood;
-  if (look && past[at]?.text === look.text) colours.set(look.text, look.swatches[0].hex[0]);
+  const strip = $("history"), { past, at } = recipe, appearance = app.lastGood;
+  if (appearance && past[at]?.text === appearance.text) colours.set(appearance.text, appearance.swatches[0].hex[0]);
   if (strip.childElementCount !== past.length || strip.dataset.of !== recipe.name) strip.replaceChildren(...past.map((_, i) => button(i)));
   strip.dataset.of = recipe.name;
   [...strip.children].forEach((made, i) => {
@@ -142,7 +142,7 @@ function take() {
   if (!app.view || !now || recipe.edits.length || app.lastGood?.draft || app.lastGood?.text !== now.text) return;
   pictures.set(now.text, app.view.thumbnail(THUMBNAIL));
   const texts = new Set(recipe.past.map(({ text }) => text));
-  for (const known of [pictures, colours]) for (const text of known.keys()) if (!texts.has(text)) known.delete(text);
+  for (const cache of [pictures, colours]) for (const text of cache.keys()) if (!texts.has(text)) cache.delete(text);
   const image = $("history").children[recipe.at]?.firstChild;
   if (!image) return;
   image.src = pictures.get(now.text);
@@ -150,8 +150,8 @@ function take() {
   image.nextSibling.hidden = true;
 }
 
-export function initCompare(given) {
-  page = given;
+export function initCompare(pageHooks) {
+  page = pageHooks;
   const click = (id, act) => $(id).addEventListener("click", act);
   click("keep-b", store);
   click("swap-b", swap);

@@ -1,6 +1,6 @@
 // The design tab: target colours at angles, parameters, the gamut, and the solutions of the search.
 
-import { $, api, app, el, shortName, wholeText } from "./common.js";
+import { $, api, app, el, shortName, fullText } from "./common.js";
 import { toLab, total } from "./charts.js";
 import { curveTargets, initCurve, suggestCurve } from "./hue_curve.js";
 import { listen, session } from "./event_stream.js";
@@ -41,16 +41,16 @@ function targets() {
 // ---- parameters
 
 async function showParameters() {
-  const text = await wholeText(), rows = new Map([...$("parameters").children].map((row) => [row.dataset.path, row]));
+  const text = await fullText(), rows = new Map([...$("parameters").children].map((row) => [row.dataset.path, row]));
   try {
-    const found = await api("api/parameters", { text, name: recipe.name });
-    if (!isChosen) $("geometry").value = found.geometry;
+    const answer = await api("api/parameters", { text, name: recipe.name });
+    if (!isChosen) $("geometry").value = answer.geometry;
     const angle = $("targets").querySelector("input");
-    if (!isChosen && found.geometry === "aspecular" && angle?.value === "0") angle.value = ASPECULAR_DEG;
-    $("design-refused").hidden = !found.refused;
-    $("design-refused").textContent = found.refused ?? "";
-    $("design-box").hidden = Boolean(found.refused);
-    $("parameters").replaceChildren(...found.parameters.map((one) => rows.get(one.path) ?? parameterRow(one)));
+    if (!isChosen && answer.geometry === "aspecular" && angle?.value === "0") angle.value = ASPECULAR_DEG;
+    $("design-refused").hidden = !answer.refused;
+    $("design-refused").textContent = answer.refused ?? "";
+    $("design-box").hidden = Boolean(answer.refused);
+    $("parameters").replaceChildren(...answer.parameters.map((one) => rows.get(one.path) ?? parameterRow(one)));
   } catch (problem) {
     $("design-refused").hidden = false;
     $("design-refused").textContent = problem.message;
@@ -78,7 +78,7 @@ function parameters() {
 }
 
 async function question() {
-  const text = await wholeText();
+  const text = await fullText();
   await listing;
   return { text, name: recipe.name, lamp: $("lamp").value, geometry: $("geometry").value, targets: targets(), parameters: parameters(), seconds: $("design-seconds").valueAsNumber };
 }
@@ -87,22 +87,22 @@ async function question() {
 
 async function sampleGamut() {
   sampling?.abort();
-  const mine = (sampling = new AbortController());
+  const request = (sampling = new AbortController());
   $("design-error").textContent = "";
   $("gamut-state").textContent = "Sampling structures; the page stays responsive.";
   try {
-    await listen("api/gamut", await question(), mine.signal, (event) => { if (mine === sampling) onGamutEvent(event); });
-    if (mine === sampling) $("gamut-state").textContent = "";
+    await listen("api/gamut", await question(), request.signal, (event) => { if (request === sampling) onGamutEvent(event); });
+    if (request === sampling) $("gamut-state").textContent = "";
   } catch (problem) {
-    if (mine !== sampling) return;
+    if (request !== sampling) return;
     $("gamut-state").textContent = "";
-    if (!mine.signal.aborted) $("design-error").textContent = problem.message;
+    if (!request.signal.aborted) $("design-error").textContent = problem.message;
   }
 }
 
 async function search() {
   searching?.abort();
-  const mine = (searching = new AbortController()), name = recipe.name;
+  const request = (searching = new AbortController()), name = recipe.name;
   let seconds = 0, shown = 0, finals = [], ended = "";
   $("design-error").textContent = "";
   $("solutions").replaceChildren();
@@ -110,8 +110,8 @@ async function search() {
   busy(true);
   $("design-state").textContent = "Starting";
   try {
-    await listen("api/design", await question(), mine.signal, (event) => {
-      if (mine !== searching) return;
+    await listen("api/design", await question(), request.signal, (event) => {
+      if (request !== searching) return;
       if (event.kind === "waiting") $("design-state").textContent = "Waiting for another page's design";
       if (event.kind === "begun") { seconds = event.seconds; $("design-state").textContent = "Searching; the page stays responsive."; }
       if (event.kind === "progress" || event.kind === "solution") {
@@ -130,13 +130,13 @@ async function search() {
       }
       if (event.kind === "ended") ended = event.message;
     });
-    if (mine === searching) $("design-state").textContent = ended ? `${ended[0].toUpperCase()}${ended.slice(1)}.` : "Stopped before there was a solution.";
+    if (request === searching) $("design-state").textContent = ended ? `${ended[0].toUpperCase()}${ended.slice(1)}.` : "Stopped before there was a solution.";
   } catch (problem) {
-    if (mine !== searching) return;
+    if (request !== searching) return;
     $("design-state").textContent = "";
-    if (!mine.signal.aborted) $("design-error").textContent = problem.message;
+    if (!request.signal.aborted) $("design-error").textContent = problem.message;
   } finally {
-    if (mine === searching) busy(false);
+    if (request === searching) busy(false);
   }
 }
 
@@ -190,14 +190,14 @@ function take(text, name, title) {
 // ---- connections to the page
 
 // After each answer: list the parameters of the current recipe.
-export function updateDesign(look) {
-  if ($("design").hidden || !look?.data) return;
-  const all = total(look);
+export function updateDesign(appearance) {
+  if ($("design").hidden || !appearance?.data) return;
+  const all = total(appearance);
   suggestCurve((angle) => {
     const [, a, b] = toLab(all[3 * angle], all[3 * angle + 1], all[3 * angle + 2]);
     return ((Math.atan2(b, a) * 180) / Math.PI + 360) % 360;
   });
-  const now = recipe.name + JSON.stringify(look.data, (key, value) => (typeof value === "number" ? 0 : value));
+  const now = recipe.name + JSON.stringify(appearance.data, (key, value) => (typeof value === "number" ? 0 : value));
   if (now === shape) return;
   if (!shape.startsWith(recipe.name)) {
     $("parameters").replaceChildren();
@@ -208,8 +208,8 @@ export function updateDesign(look) {
   listing = showParameters();
 }
 
-export function initDesign(given) {
-  page = given;
+export function initDesign(pageHooks) {
+  page = pageHooks;
   const click = (id, act) => $(id).addEventListener("click", act);
   document.addEventListener("measured", ({ detail }) => { if (detail.colours.length) addTarget({ angle: 0, colour: detail.colours[0].hex }); });
   click("target-add", () => { addTarget({ angle: Math.min(75, 15 * $("targets").childElementCount), colour: "#3f8f5f" }); $("targets").lastChild.querySelector("input").focus(); });

@@ -1,6 +1,6 @@
 // Downloads: exports, fabrication files and pictures, made by the server.
 
-import { $, api, app, ask, el, shortName, wholeText } from "./common.js";
+import { $, api, app, ask, el, shortName, fullText } from "./common.js";
 import { filterOf } from "./incidence.js";
 import { sceneOf } from "./objects.js";
 import { placeOf } from "./surroundings.js";
@@ -35,7 +35,7 @@ const FIELDS = {
   height: { words: "Height", unit: "px", min: 16, max: 4096, usual: 1024, of: ["picture"] },
   noise: { words: "Noise, relative", unit: "", min: 0.002, max: 1, usual: 0.02, of: ["picture"] },
 };
-let making = null;
+let pending = null;
 
 const isFor = (to, { of, not = [] }) => of.some((name) => to === name || to.startsWith(`${name}:`)) && !not.includes(to);
 
@@ -43,7 +43,7 @@ async function open() {
   $("files").showModal();
   $("file-error").textContent = "";
   try {
-    const found = await api("api/formats", { text: await wholeText(), name: app.recipe.name }), chosen = $("file-to").value;
+    const found = await api("api/formats", { text: await fullText(), name: app.recipe.name }), chosen = $("file-to").value;
     $("file-to").replaceChildren(...Object.entries(VERBS).filter(([verb]) => found[verb].length).map(([verb, words]) => {
       const group = el("optgroup", { label: words });
       group.append(...found[verb].map((to) => new Option(to, `${verb}:${to}`)));
@@ -83,25 +83,25 @@ function options() {
 
 async function make(event) {
   event.preventDefault();
-  making?.abort();
-  const mine = (making = new AbortController()), [verb, to] = $("file-to").value.split(/:(.*)/s);
-  const question = { text: await wholeText(), name: app.recipe.name, verb, to, lamp: $("lamp").value, ...sceneOf($("file-scene")), options: options(), ...placeOf(), ...(verb === "picture" && $("file-scene").value !== "screen" ? filterOf() : {}) };
+  pending?.abort();
+  const request = (pending = new AbortController()), [verb, to] = $("file-to").value.split(/:(.*)/s);
+  const question = { text: await fullText(), name: app.recipe.name, verb, to, lamp: $("lamp").value, ...sceneOf($("file-scene")), options: options(), ...placeOf(), ...(verb === "picture" && $("file-scene").value !== "screen" ? filterOf() : {}) };
   $("file-error").textContent = "";
   $("file-remarks").replaceChildren();
   $("file-state").textContent = "Creating the file; you may close this dialog and continue.";
   $("file-cancel").hidden = false;
   try {
-    const answer = await ask("api/file", question, mine.signal), content = await answer.blob();
+    const answer = await ask("api/file", question, request.signal), content = await answer.blob();
     const name = decodeURIComponent(/filename\*=UTF-8''(.*)$/.exec(answer.headers.get("content-disposition"))?.[1] ?? "nacre");
     give(name, content);
     $("file-state").textContent = `${name} of ${shortName(question.name)}, ${size(content.size)}: saved to the browser's downloads.`;
     $("file-remarks").replaceChildren(...JSON.parse(answer.headers.get("x-nacre-remarks") ?? "[]").map((line) => el("li", { textContent: line })));
   } catch (problem) {
-    if (mine !== making) return;
-    $("file-state").textContent = mine.signal.aborted ? "Cancelled." : "";
-    if (!mine.signal.aborted) $("file-error").textContent = problem.message;
+    if (request !== pending) return;
+    $("file-state").textContent = request.signal.aborted ? "Cancelled." : "";
+    if (!request.signal.aborted) $("file-error").textContent = problem.message;
   } finally {
-    if (mine === making) $("file-cancel").hidden = true;
+    if (request === pending) $("file-cancel").hidden = true;
   }
 }
 
@@ -124,5 +124,5 @@ export function initDownloads() {
   $("file-to").addEventListener("change", put);
   $("file-form").addEventListener("submit", make);
   $("file-close").addEventListener("click", () => $("files").close());
-  $("file-cancel").addEventListener("click", () => making?.abort());
+  $("file-cancel").addEventListener("click", () => pending?.abort());
 }

@@ -1,6 +1,6 @@
 // The opened folder: its recipes, the starting points, saving, copying.
 
-import { $, api, app, el, shortName, setStatus, wholeText } from "./common.js";
+import { $, api, app, el, shortName, setStatus, fullText } from "./common.js";
 
 const { recipe } = app;
 let page = null;    // functions of main.js, { setError, showRecipe, tab }
@@ -44,7 +44,7 @@ async function choose(name) {
 }
 
 async function save(name, version) {
-  const text = await wholeText();
+  const text = await fullText();
   const saved = await api("api/save", { name, text, version });
   Object.assign(recipe, { name, version: saved.version, saved: text });
   app.state.recipes = [...new Set([...app.state.recipes, name])].sort();
@@ -63,7 +63,7 @@ function saveAs() {
 
 async function saveNamed(event) {
   event.preventDefault();
-  const given = $("new-name").value.trim(), name = given.endsWith(".toml") ? given : `${given}.toml`;
+  const entered = $("new-name").value.trim(), name = entered.endsWith(".toml") ? entered : `${entered}.toml`;
   try {
     await save(name, name === recipe.name ? recipe.version : "");
     $("name-dialog").close();
@@ -82,7 +82,7 @@ export async function saveHere() {
 }
 
 async function copy() {
-  const text = await wholeText();
+  const text = await fullText();
   try {
     await navigator.clipboard.writeText(text);
     setStatus("settled", "Copied the recipe as TOML");
@@ -107,8 +107,8 @@ export function welcome() {
   $("all-examples").replaceChildren(new Option("choose …", ""), ...examples.map(({ name, title, family }) => new Option(`${title} (${family})`, name)));
 }
 
-export function initFiles(given) {
-  page = given;
+export function initFiles(pageHooks) {
+  page = pageHooks;
   const click = (id, act) => $(id).addEventListener("click", act);
   click("copy", copy);
   click("save", saveHere);

@@ -64,9 +64,9 @@ export class Form {
       else if (value === undefined) unset.push(this.unset(key, place, data, path));
       else set.append(this.given(key, value, place, key.spellings[name] ?? 1));
     }
-    const kept = unset.filter(Boolean);
-    if (kept.length) {
-      const more = el("details", { open: this.open.has(path) }, el("summary", { textContent: `${kept.length} more, with default values` }), ...kept);
+    const optional = unset.filter(Boolean);
+    if (optional.length) {
+      const more = el("details", { open: this.open.has(path) }, el("summary", { textContent: `${optional.length} more, with default values` }), ...optional);
       more.addEventListener("toggle", () => (more.open ? this.open.add(path) : this.open.delete(path)));
       set.append(more);
     }
@@ -114,8 +114,8 @@ export class Form {
       up.disabled = i === 0;
       down.disabled = i === entries.length - 1;
       const copy = this.button("+", `Add a copy of ${one} ${i + 1}`, () => this.change({ op: "insert", path, index: i + 1, value: this.read(`${path}[${i}]`) }));
-      const gone = this.button("✕", `Remove ${one} ${i + 1}`, () => this.change({ op: "remove", path: `${path}[${i}]` }));
-      const head = el("div", { className: "head" }, el("span", { className: "name", textContent: `${one} ${i + 1}${about}` }), up, down, copy, gone);
+      const remove = this.button("✕", `Remove ${one} ${i + 1}`, () => this.change({ op: "remove", path: `${path}[${i}]` }));
+      const head = el("div", { className: "head" }, el("span", { className: "name", textContent: `${one} ${i + 1}${about}` }), up, down, copy, remove);
       box.append(el("div", { className: "entry" }, head, this.table(table, entry, `${path}[${i}]`)));
     });
     const add = el("button", { type: "button", className: "add", textContent: `Add ${one.toLowerCase()}`, disabled: !key.template });
@@ -227,8 +227,8 @@ export class Form {
     if (key.default !== null && key.default !== undefined) box.placeholder = key.default;
     if (isMaterial) {
       box.setAttribute("list", "found");
-      box.addEventListener("focus", () => this.look(box.value));
-      box.addEventListener("input", () => this.look(box.value));
+      box.addEventListener("focus", () => this.appearance(box.value));
+      box.addEventListener("input", () => this.appearance(box.value));
     }
     const give = () => {
       const text = box.value.trim();
@@ -241,7 +241,7 @@ export class Form {
     return this.row(key, path, box);
   }
 
-  look(text) {
+  appearance(text) {
     clearTimeout(this.timer);
     this.timer = setTimeout(async () => {
       const found = await this.search(text);

@@ -7,7 +7,7 @@ const NAMES = { s: "s-polarised light", p: "p-polarised light", left: "left circ
 // Of a request for the appearance; other materials ignore it.
 export const incidenceOf = () => ({ azimuth_deg: Number($("azimuth").value), polarisation: $("polarisation").value });
 
-// Show the controls if the material depends on them; `look` is the newest answer.
+// Show the controls if the material depends on them; `appearance` is the newest answer.
 export function showIncidence({ incidence }) {
   $("azimuth-bar").hidden = $("polarisation-bar").hidden = !incidence;
   const name = `Reflectance over wavelength${NAMES[incidence?.polarisation] ? ` of ${NAMES[incidence.polarisation]}` : ""}`;

@@ -5,46 +5,46 @@
 const REST_MS = 160, STRIP_MS = 12, STRIPS = 16;
 const FINE = 256, ROUGH = 0.08;                 // pixels along a side; above this roughness the coarse size is used
 export const COARSE = 128;
-const MOST_KEPT = 3;
+const MAX_CACHED = 3;
 const FIRST_UNIT = 5;                           // textures 0 to 4 are the view's own
 
 export class Light {
   // `draw(strip)` renders a part of the buffer; `onDone` is called when a light is complete.
   constructor(gl, draw, onDone) {
-    Object.assign(this, { gl, draw, onDone, kept: new Map(), wanted: new Map(), making: null, timer: 0 });
+    Object.assign(this, { gl, draw, onDone, cached: new Map(), pending: new Map(), current: null, timer: 0 });
     this.isAble = Boolean(gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float"));
   }
 
   // Bind the light of an appearance and return true, or schedule its integration.
-  bind(key, look) {
+  bind(key, appearance) {
     if (!this.isAble) return false;
-    const made = this.kept.get(key);
+    const made = this.cached.get(key);
     if (made) {
-      this.kept.delete(key);
-      this.kept.set(key, made);         // least recently used first
+      this.cached.delete(key);
+      this.cached.set(key, made);         // least recently used first
       made.textures.forEach((texture, i) => this.on(FIRST_UNIT + i, texture));
       return true;
     }
-    this.wanted.set(key, look);
+    this.pending.set(key, appearance);
     return false;
   }
 
   // Called after a picture: drop lights that it did not use.
   settle(keys) {
-    for (const key of this.wanted.keys()) if (!keys.includes(key)) this.wanted.delete(key);
-    if (this.making && !this.wanted.has(this.making.key)) { this.free(this.making); this.making = null; }
+    for (const key of this.pending.keys()) if (!keys.includes(key)) this.pending.delete(key);
+    if (this.current && !this.pending.has(this.current.key)) { this.free(this.current); this.current = null; }
     clearTimeout(this.timer);
-    if (this.wanted.size) this.timer = setTimeout(() => this.go(), REST_MS);
+    if (this.pending.size) this.timer = setTimeout(() => this.go(), REST_MS);
   }
 
-  get isDone() { return !this.wanted.size || !this.isAble; }
+  get isDone() { return !this.pending.size || !this.isAble; }
 
   forget() {
-    for (const made of this.kept.values()) this.free(made);
-    this.kept.clear();
-    this.wanted.clear();
-    if (this.making) this.free(this.making);
-    this.making = null;
+    for (const made of this.cached.values()) this.free(made);
+    this.cached.clear();
+    this.pending.clear();
+    if (this.current) this.free(this.current);
+    this.current = null;
   }
 
   on(unit, texture) {
@@ -53,34 +53,34 @@ export class Light {
   }
 
   go() {
-    const gl = this.gl, [entry] = this.wanted;
+    const gl = this.gl, [entry] = this.pending;
     if (!entry || gl.isContextLost()) return;
-    const [key, look] = entry;
-    this.making ??= this.begin(key, look);
-    if (!this.making) return;
-    const { frame, pixels, at } = this.making, next = Math.min(at + Math.ceil(pixels / STRIPS), pixels);
+    const [key, appearance] = entry;
+    this.current ??= this.begin(key, appearance);
+    if (!this.current) return;
+    const { frame, pixels, at } = this.current, next = Math.min(at + Math.ceil(pixels / STRIPS), pixels);
     gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
     gl.viewport(0, 0, pixels, pixels);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(0, at, pixels, next - at);
-    this.draw(look, pixels);
+    this.draw(appearance, pixels);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    this.making.at = next;
+    this.current.at = next;
     if (next < pixels) { this.timer = setTimeout(() => this.go(), STRIP_MS); return; }
-    this.kept.set(key, this.making);
-    this.making = null;
-    this.wanted.delete(key);
-    for (const old of this.kept.keys()) {
-      if (this.kept.size <= MOST_KEPT) break;
-      this.free(this.kept.get(old));
-      this.kept.delete(old);
+    this.cached.set(key, this.current);
+    this.current = null;
+    this.pending.delete(key);
+    for (const old of this.cached.keys()) {
+      if (this.cached.size <= MAX_CACHED) break;
+      this.free(this.cached.get(old));
+      this.cached.delete(old);
     }
-    if (this.wanted.size) this.timer = setTimeout(() => this.go(), STRIP_MS);
+    if (this.pending.size) this.timer = setTimeout(() => this.go(), STRIP_MS);
     this.onDone();
   }
 
-  begin(key, look) {
-    const gl = this.gl, widths = [look.alpha, look.gloss_alpha].filter((width) => width > 0.001);
+  begin(key, appearance) {
+    const gl = this.gl, widths = [appearance.alpha, appearance.gloss_alpha].filter((width) => width > 0.001);
     const pixels = widths.length && Math.min(...widths) < ROUGH ? FINE : COARSE;
     const made = { key, pixels, at: 0, frame: gl.createFramebuffer(), textures: [] };
     gl.bindFramebuffer(gl.FRAMEBUFFER, made.frame);

@@ -37,7 +37,7 @@ function onAnswer(answer, isNewest) {
   const isOurs = recipe.settle(answer, isNewest);
   app.lastGood = answer;
   if (isOurs) app.lastName = recipe.name;
-  if (app.view) app.view.setLook(answer);
+  if (app.view) app.view.setAppearance(answer);
   const isChanged = isNewest && isOurs;
   if (isChanged) recipe.step();
   panels(isChanged ? showRecipe : null);

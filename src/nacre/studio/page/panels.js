@@ -10,18 +10,18 @@ import { showIncidence } from "./incidence.js";
 
 const AFTER_MS = 20;                            // delay after the object
 const SHORTEST_MS = 300, LONGEST_MS = 500;      // between two updates during a drag, with and without pauses
-let timer = 0, drawn = -LONGEST_MS, waiting = null, noted = "";         // noted: text of the notes
+let timer = 0, drawn = -LONGEST_MS, waiting = null, shownNotes = "";         // shownNotes: text of the notes
 
 // Schedule an update after an answer; `also` runs with it and replaces a waiting one.
 export function panels(also) {
   waiting = also ?? waiting;
   clearTimeout(timer);
-  timer = setTimeout(look, Math.max(AFTER_MS, drawn + SHORTEST_MS - performance.now()));
+  timer = setTimeout(drawWhenIdle, Math.max(AFTER_MS, drawn + SHORTEST_MS - performance.now()));
 }
 
-function look() {
-  const isAsked = app.socket.heard < app.socket.seq;
-  if (isAsked && performance.now() < drawn + LONGEST_MS) timer = setTimeout(look, AFTER_MS);
+function drawWhenIdle() {
+  const isPending = app.socket.heard < app.socket.seq;
+  if (isPending && performance.now() < drawn + LONGEST_MS) timer = setTimeout(drawWhenIdle, AFTER_MS);
   else drawPanels();
 }
 
@@ -32,23 +32,23 @@ export function drawPanels() {
   const also = waiting;
   waiting = null;
   also?.();
-  const look = app.lastGood, kept = other();
-  if (!look) return;
-  showNotes(look.notes);
-  showIncidence(look);
-  drawRibbon($("ribbon"), $("ribbon-text"), look);
-  $("ribbons").classList.toggle("two", Boolean(kept));
-  if (kept) drawRibbon($("ribbon-b"), $("ribbon-b-text"), kept);
-  drawSpectrum($("spectrum"), look, kept, app.measured);
+  const appearance = app.lastGood, compared = other();
+  if (!appearance) return;
+  showNotes(appearance.notes);
+  showIncidence(appearance);
+  drawRibbon($("ribbon"), $("ribbon-text"), appearance);
+  $("ribbons").classList.toggle("two", Boolean(compared));
+  if (compared) drawRibbon($("ribbon-b"), $("ribbon-b-text"), compared);
+  drawSpectrum($("spectrum"), appearance, compared, app.measured);
   const beside = app.ellipsometry ?? [];
   $("ellipsometry-box").hidden = !beside.length;
   if (beside.length) {
-    drawEllipsometry($("ellipsometry"), beside, look.psi_delta);
-    $("ellipsometry-text").textContent = look.psi_delta?.note ?? "Measured dotted, computed as lines.";
+    drawEllipsometry($("ellipsometry"), beside, appearance.psi_delta);
+    $("ellipsometry-text").textContent = appearance.psi_delta?.note ?? "Measured dotted, computed as lines.";
   }
-  drawScatter($("tolerance-ribbon"), $("track"), drawTrack($("track"), look, kept, scatterExtent()));
-  drawSwatches($("swatches"), look, kept);
-  const words = drawStructure($("structure"), look.data, look.profile);
+  drawScatter($("tolerance-ribbon"), $("track"), drawTrack($("track"), appearance, compared, scatterExtent()));
+  drawSwatches($("swatches"), appearance, compared);
+  const words = drawStructure($("structure"), appearance.data, appearance.profile);
   $("structure-text").textContent = words;
   $("structure-box").hidden = !words;
 }
@@ -57,6 +57,6 @@ document.addEventListener("measured", () => panels());
 
 function showNotes(notes) {
   const text = notes.join("\n");
-  if (text !== noted) $("notes").replaceChildren(...notes.map((note) => el("li", { textContent: note })));
-  noted = text;
+  if (text !== shownNotes) $("notes").replaceChildren(...notes.map((note) => el("li", { textContent: note })));
+  shownNotes = text;
 }

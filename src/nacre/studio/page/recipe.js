@@ -108,11 +108,11 @@ export class Recipe {
 
   recall() {
     try {
-      const kept = JSON.parse(sessionStorage.getItem(KEPT) ?? "null");
-      if (!kept?.name) return false;
-      Object.assign(this, kept, { edits: [] });
+      const saved = JSON.parse(sessionStorage.getItem(KEPT) ?? "null");
+      if (!saved?.name) return false;
+      Object.assign(this, saved, { edits: [] });
       this.step(true);
-      for (const edit of kept.edits) this.change(edit);
+      for (const edit of saved.edits) this.change(edit);
       return true;
     } catch {
       return false;

@@ -1,6 +1,6 @@
 // The rendered picture: Mitsuba refines it in passes; an edit restarts it.
 
-import { $, app, shortName, wholeText } from "./common.js";
+import { $, app, shortName, fullText } from "./common.js";
 import { listen } from "./event_stream.js";
 import { filterName, filterOf } from "./incidence.js";
 import { sceneName, sceneOf } from "./objects.js";
@@ -18,19 +18,19 @@ function clearTimer() {
 export async function render() {
   rendering?.abort();
   clearTimer();
-  const mine = (rendering = new AbortController());
+  const request = (rendering = new AbortController());
   $("cancel").hidden = false;
   $("render-progress").hidden = false;
   $("render-progress").removeAttribute("value");
   $("render-state").textContent = "Starting; the page stays responsive.";
   try {
-    const body = { text: await wholeText(), name: app.recipe.name, lamp: $("lamp").value, ...sceneOf($("scene")), size: Number($("size").value), seconds: Number($("seconds").value), ...lightOf(), ...filterOf() };
-    if (mine !== rendering) return;
+    const body = { text: await fullText(), name: app.recipe.name, lamp: $("lamp").value, ...sceneOf($("scene")), size: Number($("size").value), seconds: Number($("seconds").value), ...lightOf(), ...filterOf() };
+    if (request !== rendering) return;
     of = body.text;
     shown = key();
     const scene = sceneName($("scene")), what = `${scene}, ${body.light}, ${body.lamp}${filterName(body)}, ${body.size} px`;
-    await listen("api/picture", body, mine.signal, (event) => {
-      if (mine !== rendering) return;
+    await listen("api/picture", body, request.signal, (event) => {
+      if (request !== rendering) return;
       if (event.kind === "waiting") $("render-state").textContent = "Waiting for another picture";
       if (event.kind === "begun") $("render-state").textContent = "Compiling the scene";
       if (event.kind === "progress") {
@@ -40,9 +40,9 @@ export async function render() {
       if (event.kind === "picture") put(event, scene, body, what);
     });
   } catch (problem) {
-    if (mine === rendering && !mine.signal.aborted) $("render-state").textContent = problem.message;
+    if (request === rendering && !request.signal.aborted) $("render-state").textContent = problem.message;
   } finally {
-    if (mine === rendering) done();
+    if (request === rendering) done();
   }
 }
 

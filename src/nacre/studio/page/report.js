@@ -1,25 +1,25 @@
 // The industry report, measured by the server in a subprocess.
 
-import { $, api, app, el, shortName, wholeText } from "./common.js";
+import { $, api, app, el, shortName, fullText } from "./common.js";
 import { storedRecipe } from "./compare.js";
 
 let measuring = null;
 
 async function measure() {
   measuring?.abort();
-  const mine = (measuring = new AbortController());
-  const recipes = [{ text: await wholeText(), name: app.recipe.name }, ...storedRecipe()], lamp = $("lamp").value;
+  const request = (measuring = new AbortController());
+  const recipes = [{ text: await fullText(), name: app.recipe.name }, ...storedRecipe()], lamp = $("lamp").value;
   $("report-cancel").hidden = false;
   $("report-state").textContent = "Measuring; the page stays responsive.";
   try {
-    const found = await api("api/report", { recipes, lamp }, mine.signal);
+    const found = await api("api/report", { recipes, lamp }, request.signal);
     $("report-tables").replaceChildren(...found.reports.flatMap((report, i) => tables(report, found.reports.length > 1 ? `${"AB"[i]}: ` : "")), ...differences(found));
     $("report-tables").hidden = false;
     $("report-state").textContent = `${shortName(recipes[0].name)}, ${lamp}, 10° observer; flop under D65, gloss and haze under C. Recipe at the time of the request.`;
   } catch (problem) {
-    if (mine === measuring) $("report-state").textContent = mine.signal.aborted ? "Cancelled." : problem.message;
+    if (request === measuring) $("report-state").textContent = request.signal.aborted ? "Cancelled." : problem.message;
   } finally {
-    if (mine === measuring) $("report-cancel").hidden = true;
+    if (request === measuring) $("report-cancel").hidden = true;
   }
 }
 

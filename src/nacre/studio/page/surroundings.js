@@ -4,14 +4,14 @@ import { $, app, ask } from "./common.js";
 import { unpack } from "./unpack.js";
 
 const cached = new Map();
-let wanted = "studio";
+let chosen = "studio";
 const SKIES = { sun: " The preview has no sharp shadow of the sun.", sky: "" };
 
 // Light of a rendered picture: that of the page.
-export const lightOf = () => ({ light: wanted });
+export const lightOf = () => ({ light: chosen });
 
 // Light of a downloaded picture: that of its scene, or of the place.
-export const placeOf = () => (wanted === "studio" ? {} : { light: wanted });
+export const placeOf = () => (chosen === "studio" ? {} : { light: chosen });
 
 export async function fetchRoom(name) {
   if (!cached.has(name)) cached.set(name, ask(`api/surroundings?name=${name}`).then((answer) => answer.arrayBuffer()).then(unpack));
@@ -24,11 +24,11 @@ export async function fetchRoom(name) {
 }
 
 async function choose() {
-  const name = (wanted = $("surround").value);
+  const name = (chosen = $("surround").value);
   try {
     if (name in SKIES && !cached.has(name)) $("surround-note").textContent = "Mitsuba computes this sky once; this takes some seconds.";
     const { room, lamp } = await fetchRoom(name), { surroundings: sizes } = app.state;
-    if (wanted !== name || !app.view) return;
+    if (chosen !== name || !app.view) return;
     app.view.setRoom(room, sizes, sizes.places[name], lamp);
     $("view").dataset.surround = name;
     $("surround-note").textContent = sizes.places[name] ? `This place has its own light, independent of the lamp above; the preview multiplies colours, the rendered picture is spectral.${SKIES[name] ?? ""}` : "";

@@ -1,6 +1,6 @@
 // Colour scatter under manufacturing tolerances, on the ribbon and on the track.
 
-import { $, app, wholeText } from "./common.js";
+import { $, app, fullText } from "./common.js";
 import { add, shown, toLab } from "./charts.js";
 import { listen } from "./event_stream.js";
 
@@ -60,19 +60,19 @@ function show(event) {
 async function ask() {
   sampling?.abort();
   if (!$("tolerance").checked) return;
-  const mine = (sampling = new AbortController());
+  const request = (sampling = new AbortController());
   try {
-    const text = await wholeText();
-    if (mine !== sampling) return;
+    const text = await fullText();
+    if (request !== sampling) return;
     const requested = key();
     $("tolerance-text").textContent = "Sampling manufactured materials";
-    await listen("api/tolerance", { text, name: app.recipe.name, lamp: $("lamp").value, percent: $("percent").valueAsNumber, azimuth_deg: Number($("azimuth").value) }, mine.signal, (event) => {
-      if (event.kind !== "tolerance" || mine !== sampling) return;
+    await listen("api/tolerance", { text, name: app.recipe.name, lamp: $("lamp").value, percent: $("percent").valueAsNumber, azimuth_deg: Number($("azimuth").value) }, request.signal, (event) => {
+      if (event.kind !== "tolerance" || request !== sampling) return;
       scatterKey = requested;
       show(event);
     });
   } catch (problem) {
-    if (mine === sampling && !mine.signal.aborted) $("tolerance-text").textContent = problem.message;
+    if (request === sampling && !request.signal.aborted) $("tolerance-text").textContent = problem.message;
   }
 }
 

@@ -19,16 +19,16 @@ const SLOW_MS = 20, FEWEST = 400;  // pixels a side
 let backdrops = 0;      // drawn so far
 
 // integrated lobes: facets, gloss, matt surface; or a lobe table instead of the last two
-const lobeBits = (look) => (look.lobe ? 8 : 0) + (look.alpha >= 0.001 ? 1 : 0) + (look.gloss_alpha > 0 ? 2 : 0) + (look.spread.some((value) => value > 1e-4) ? 4 : 0);
+const lobeBits = (appearance) => (appearance.lobe ? 8 : 0) + (appearance.alpha >= 0.001 ? 1 : 0) + (appearance.gloss_alpha > 0 ? 2 : 0) + (appearance.spread.some((value) => value > 1e-4) ? 4 : 0);
 
 // Look-ups of the integrated lobes; a lobe table uses the slot of the matt surface.
-const lobesOf = (look) => [[1, "FACETS"], ...(look.lobe ? [[8, "LOBE"]] : [[2, "GLOSS"], [4, "MATT"]])].map(([bit, lobe]) => (lobeBits(look) & bit ? `#define ${lobe}\n` : "")).join("");
+const lobesOf = (appearance) => [[1, "FACETS"], ...(appearance.lobe ? [[8, "LOBE"]] : [[2, "GLOSS"], [4, "MATT"]])].map(([bit, lobe]) => (lobeBits(appearance) & bit ? `#define ${lobe}\n` : "")).join("");
 const OF_LOBES = ["gathered", "shadeGathered"], OF_THROUGH = [...OF_LOBES, "ball", "shade"];
-const definesOf = (name, look) => (look && OF_LOBES.includes(name) ? lobesOf(look) : "") + (look?.through && OF_THROUGH.includes(name) ? "#define CLEAR\n" : "") + (look?.grades && OF_THROUGH.includes(name) ? "#define GRADED\n" : "");
+const definesOf = (name, appearance) => (appearance && OF_LOBES.includes(name) ? lobesOf(appearance) : "") + (appearance?.through && OF_THROUGH.includes(name) ? "#define CLEAR\n" : "") + (appearance?.grades && OF_THROUGH.includes(name) ? "#define GRADED\n" : "");
 const BANDS = 4;        // parts of the table per appearance
-const shapeOf = (look, name) => look.arrays.find(([one]) => one === name)?.[1];
+const shapeOf = (appearance, name) => appearance.arrays.find(([one]) => one === name)?.[1];
 // Nodes of a graded appearance, as [of the second range, of the first].
-const nodesOf = (look) => shapeOf(look, "grades")?.slice(1, 3) ?? [1, 1];
+const nodesOf = (appearance) => shapeOf(appearance, "grades")?.slice(1, 3) ?? [1, 1];
 
 // Share of the light that an object blocks from the floor; light passes a free film twice.
 const solidOf = ({ through }) => (through ? 1 - (0.2126 * through[0] + 0.7152 * through[1] + 0.0722 * through[2]) ** 2 : 1);
@@ -38,7 +38,7 @@ export class View {
   constructor(canvas, onTurn, tables) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, preserveDrawingBuffer: true });
     if (!gl) throw new Error("no WebGL2");
-    Object.assign(this, { canvas, gl, onTurn, tables, look: null, other: null, side: "a", split: 0.5, room: null, exposure: 0, object: SPHERE, grid: false, azimuth: SPHERE.azimuth, elevation: SPHERE.elevation, isAsked: false, most: 1024, trials: 3 });
+    Object.assign(this, { canvas, gl, onTurn, tables, appearance: null, other: null, side: "a", split: 0.5, room: null, exposure: 0, object: SPHERE, grid: false, azimuth: SPHERE.azimuth, elevation: SPHERE.elevation, isScheduled: false, most: 1024, trials: 3 });
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     canvas.addEventListener("webglcontextrestored", () => { this.uploaded = null; this.build(); this.upload(); this.setObject(this.object, true); });
     this.build();
@@ -49,7 +49,7 @@ export class View {
   build() {
     const gl = this.gl;
     this.programs = new Map();
-    this.light = new Light(gl, (look, pixels) => this.gather(look, pixels), () => this.draw());
+    this.light = new Light(gl, (appearance, pixels) => this.gather(appearance, pixels), () => this.draw());
     this.use("ball");
     this.buffer = this.corners = this.lobeTexture = this.backdrop = null;
     this.painted = {};          // by row: the ball for which the whole canvas was drawn, see `boxOf`
@@ -62,8 +62,8 @@ export class View {
 
   // A program by its features, compiled on first use. Each set of lobes has its own: on the CPU an unused branch costs as much as
   // a used one.
-  use(name, look) {
-    const gl = this.gl, isPlace = Boolean(this.room?.floor) && name !== "mesh", lobes = definesOf(name, look), key = name + isPlace + lobes;
+  use(name, appearance) {
+    const gl = this.gl, isPlace = Boolean(this.room?.floor) && name !== "mesh", lobes = definesOf(name, appearance), key = name + isPlace + lobes;
     if (!this.programs.has(key)) {
       const program = gl.createProgram(), [vertex, fragment] = SHADERS[name];
       for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, `#version 300 es\n${DEFINES[name] ?? ""}${lobes}${isPlace ? "#define PLACE\n" : ""}${this.tables}${fragment}`]]) {
@@ -107,8 +107,8 @@ export class View {
     this.draw();
   }
 
-  setLook(look) {
-    this.look = look;
+  setAppearance(appearance) {
+    this.appearance = appearance;
     this.upload();
     this.draw();
   }
@@ -144,16 +144,16 @@ export class View {
       const [held, sent] = channels === 1 ? [gl.R16F, gl.RED] : [gl.RGB16F, gl.RGB];
       gl.texImage3D(gl.TEXTURE_2D_ARRAY, 0, held, columns, rows, layers + EXTRA, 0, sent, gl.FLOAT, values);
     }
-    if (!this.look) return;
-    const count = this.look.mirror.length / 3, looks = [this.look, this.other ?? this.look];
-    const [across, along] = [0, 1].map((i) => Math.max(...looks.map((look) => nodesOf(look)[i]))), rows = 2 * BANDS * across * along, texels = new Float32Array(rows * count * 4);
+    if (!this.appearance) return;
+    const count = this.appearance.mirror.length / 3, appearances = [this.appearance, this.other ?? this.appearance];
+    const [across, along] = [0, 1].map((i) => Math.max(...appearances.map((appearance) => nodesOf(appearance)[i]))), rows = 2 * BANDS * across * along, texels = new Float32Array(rows * count * 4);
     let at = 0;
-    for (const look of looks) {
-      const [second, first] = nodesOf(look);
-      [look.mirror, look.gloss, look.spread, look.through].forEach((part, band) => {
+    for (const appearance of appearances) {
+      const [second, first] = nodesOf(appearance);
+      [appearance.mirror, appearance.gloss, appearance.spread, appearance.through].forEach((part, band) => {
         for (let j = 0; j < across; j++) for (let i = 0; i < along; i++) {
           const near = (k, given, wanted) => Math.round((k * (given - 1)) / Math.max(wanted - 1, 1));
-          const from = look.grades ? 3 * count * ((band * second + near(j, second, across)) * first + near(i, first, along)) : 0, values = look.grades ?? part;
+          const from = appearance.grades ? 3 * count * ((band * second + near(j, second, across)) * first + near(i, first, along)) : 0, values = appearance.grades ?? part;
           for (let k = 0; k < count; k++, at += 4) if (values) texels.set([values[from + 3 * k], values[from + 3 * k + 1], values[from + 3 * k + 2], 1], at);
         }
       });
@@ -163,21 +163,21 @@ export class View {
     if (this.columns === count && this.rows === rows) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, count, rows, gl.RGBA, gl.FLOAT, texels);
     else gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, count, rows, 0, gl.RGBA, gl.FLOAT, texels);
     this.rows = rows;
-    for (const [look, texture] of this.placed) if (!looks.includes(look)) { gl.deleteTexture(texture); this.placed.delete(look); }
+    for (const [appearance, texture] of this.placed) if (!appearances.includes(appearance)) { gl.deleteTexture(texture); this.placed.delete(appearance); }
     this.columns = count;
   }
 
   // Bind the map of the surface of a graded appearance.
-  place(look) {
-    const gl = this.gl, known = this.placed.get(look);
+  place(appearance) {
+    const gl = this.gl, known = this.placed.get(appearance);
     if (known) {
       gl.activeTexture(gl.TEXTURE0 + PLACE_UNIT);
       gl.bindTexture(gl.TEXTURE_2D, known);
       return;
     }
-    const [rows, columns] = shapeOf(look, "grade_map");
-    this.placed.set(look, this.texture(PLACE_UNIT, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE, look.stepped ? gl.NEAREST : gl.LINEAR));
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RG16F, columns, rows, 0, gl.RG, gl.FLOAT, look.grade_map);
+    const [rows, columns] = shapeOf(appearance, "grade_map");
+    this.placed.set(appearance, this.texture(PLACE_UNIT, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE, appearance.stepped ? gl.NEAREST : gl.LINEAR));
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RG16F, columns, rows, 0, gl.RG, gl.FLOAT, appearance.grade_map);
   }
 
   resize() {
@@ -223,29 +223,29 @@ export class View {
 
   draw() {
     const gl = this.gl;
-    if (!this.look || !this.room || gl.isContextLost()) return;
+    if (!this.appearance || !this.room || gl.isContextLost()) return;
     const { width, height } = this.canvas, side = this.other ? this.side : "a", began = performance.now();
     const cut = side === "a" ? width : side === "b" ? 0 : Math.round(width * this.split);
-    if (this.object.places) this.drawTriangles(FINER * width, FINER * height, [this.look, this.other].some((look) => look?.through));
+    if (this.object.places) this.drawTriangles(FINER * width, FINER * height, [this.appearance, this.other].some((appearance) => appearance?.through));
     gl.viewport(0, 0, width, height);
-    this.drawLook(this.look, 0, 0, cut);
-    if (this.other) this.drawLook(this.other, BANDS, cut, width);
-    this.light.settle([this.look, this.other ?? this.look].map((look) => this.keyOf(look)));
-    if (this.trials > 0) this.judge(began);
-    this.canvas.dataset.seq = this.look.seq;
+    this.drawAppearance(this.appearance, 0, 0, cut);
+    if (this.other) this.drawAppearance(this.other, BANDS, cut, width);
+    this.light.settle([this.appearance, this.other ?? this.appearance].map((appearance) => this.keyOf(appearance)));
+    if (this.trials > 0) this.measureSpeed(began);
+    this.canvas.dataset.seq = this.appearance.seq;
   }
 
-  drawLook(look, first, from, to) {
+  drawAppearance(appearance, first, from, to) {
     if (to <= from) return;
     const gl = this.gl, { places, parts } = this.object, [plainly, well] = places ? ["shade", "shadeGathered"] : ["ball", "gathered"];
-    const isGathered = this.light.bind(this.keyOf(look), look);
-    if (isGathered && !places) this.drawBackdrop(look, first);
+    const isGathered = this.light.bind(this.keyOf(appearance), appearance);
+    if (isGathered && !places) this.drawBackdrop(appearance, first);
     const [left, bottom, right, top] = this.boxOf(isGathered && !places, first, from, to);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(left, bottom, Math.max(right - left, 0), top - bottom);
-    const at = this.prepare(isGathered ? well : plainly, look, first);
-    if (look.grades) {
-      this.place(look);
+    const at = this.prepare(isGathered ? well : plainly, appearance, first);
+    if (appearance.grades) {
+      this.place(appearance);
       gl.uniform1f(at.across, this.across);
     }
     this.canvas.dataset.light = isGathered ? "gathered" : this.light.isAble ? "gathering" : "blurred";
@@ -275,8 +275,8 @@ export class View {
   }
 
   // Backdrop and mirror image of the ball, cached while view, size, room and stage stay the same.
-  drawBackdrop(look, first) {
-    const gl = this.gl, { width, height } = this.canvas, key = [this.azimuth, this.elevation, width, height, look.clear, solidOf(look)].join();
+  drawBackdrop(appearance, first) {
+    const gl = this.gl, { width, height } = this.canvas, key = [this.azimuth, this.elevation, width, height, appearance.clear, solidOf(appearance)].join();
     if (this.backdrop?.key === key && this.backdrop.room === this.room) return;
     if (this.backdrop?.width !== width) {
       if (this.backdrop) { this.backdrop.textures.forEach((old) => gl.deleteTexture(old)); gl.deleteFramebuffer(this.backdrop.frame); }
@@ -295,7 +295,7 @@ export class View {
     bind([null, null]);         // a texture cannot be read while it is drawn
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.backdrop.frame);
     gl.disable(gl.SCISSOR_TEST);
-    this.prepare("backdrop", look, first);
+    this.prepare("backdrop", appearance, first);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.enable(gl.SCISSOR_TEST);
@@ -303,19 +303,19 @@ export class View {
   }
 
   // Dependencies of the integrated light; the recipe's colours are not among them.
-  keyOf(look) {
+  keyOf(appearance) {
     const { target, distance, foot } = this.object;
-    return JSON.stringify([target, distance, foot, this.azimuth, this.elevation, look.alpha, look.gloss_alpha, lobeBits(look), look.facets, look.lobe ? look.seq : 0]);
+    return JSON.stringify([target, distance, foot, this.azimuth, this.elevation, appearance.alpha, appearance.gloss_alpha, lobeBits(appearance), appearance.facets, appearance.lobe ? appearance.seq : 0]);
   }
 
-  gather(look, pixels) {
-    const gl = this.gl, at = this.prepare("gather", look, look === this.other ? BANDS : 0), { distribution, compensated } = look.facets;
+  gather(appearance, pixels) {
+    const gl = this.gl, at = this.prepare("gather", appearance, appearance === this.other ? BANDS : 0), { distribution, compensated } = appearance.facets;
     gl.uniform1f(at.pixels, pixels);
     gl.uniform1f(at.count, pixels > COARSE ? 64 : 128);      // directions of a lobe; fewer for a fine grid
     gl.uniform1f(at.beckmann, distribution === "ggx" ? 0 : 1);
     gl.uniform1f(at.compensated, compensated ? 1 : 0);
-    gl.uniform1f(at.lobes, lobeBits(look));
-    if (look.lobe) this.lobe(look);
+    gl.uniform1f(at.lobes, lobeBits(appearance));
+    if (appearance.lobe) this.lobe(appearance);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
@@ -358,7 +358,7 @@ export class View {
     gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
     for (const i of number ? [1] : [0, 1]) gl.clearBufferfv(gl.COLOR, i, [0, 0, 0, 0]);
     if (!number) gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
-    const at = this.prepare("mesh", this.look, 0);
+    const at = this.prepare("mesh", this.appearance, 0);
     this.object.parts.slice(0, MOST_PARTS).forEach((part, i) => {
       if (!isWanted(part)) return;
       gl.uniform1f(at.part, number ?? i + 1);
@@ -415,8 +415,8 @@ export class View {
     return { toEye, right, up: [-Math.sin(azimuth) * Math.sin(elevation) * half, Math.cos(azimuth) * Math.sin(elevation) * half, Math.cos(elevation) * half], half };
   }
 
-  prepare(name, look, first) {
-    const gl = this.gl, at = this.use(name, look), { distance, target, foot } = this.object;
+  prepare(name, appearance, first) {
+    const gl = this.gl, at = this.use(name, appearance), { distance, target, foot } = this.object;
     const { toEye, right, up } = this.frame();
     gl.uniform3fv(at.eye, target.map((t, i) => t + distance * toEye[i]));
     gl.uniform3fv(at.ahead, toEye.map((x) => -x));
@@ -425,21 +425,21 @@ export class View {
     gl.uniform2f(at.size, this.canvas.width, this.canvas.height);
     gl.uniform4fv(at.foot, foot);
     gl.uniform1f(at.first, first);
-    gl.uniform1f(at.solid, solidOf(look));
-    gl.uniform1f(at.alpha, look.alpha);
-    gl.uniform1f(at.gloss, look.gloss_alpha);
+    gl.uniform1f(at.solid, solidOf(appearance));
+    gl.uniform1f(at.alpha, appearance.alpha);
+    gl.uniform1f(at.gloss, appearance.gloss_alpha);
     gl.uniform1f(at.layers, this.room.layers);
     const { floor, level, lamp } = this.room;
     if (floor) {
       for (const [where, value] of [[at.level, level], [at.ground, floor], [at.lampTo, lamp.towards], [at.lampPower, lamp.power]]) gl.uniform3fv(where, value);
       gl.uniform1f(at.lampRadius, lamp.radius);
-    } else gl.uniform1f(at.square, this.object.dark ? -1 : look.clear ? SQUARE : 0);
+    } else gl.uniform1f(at.square, this.object.dark ? -1 : appearance.clear ? SQUARE : 0);
     gl.uniform1f(at.exposure, this.exposure);
     return at;
   }
 
   // Without a graphics card fewer pixels keep the page responsive.
-  judge(began) {
+  measureSpeed(began) {
     const gl = this.gl;
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));  // waits for the drawing to finish
     this.trials -= 1;
@@ -453,9 +453,9 @@ export class View {
   turn(azimuth, elevation) {
     this.azimuth = ((azimuth % 360) + 360) % 360;
     this.elevation = Math.max(2, Math.min(85, elevation));
-    if (this.isAsked) return;
-    this.isAsked = true;
-    requestAnimationFrame(() => { this.isAsked = false; this.draw(); });
+    if (this.isScheduled) return;
+    this.isScheduled = true;
+    requestAnimationFrame(() => { this.isScheduled = false; this.draw(); });
   }
 
   front() { this.turn(this.object.azimuth, this.object.elevation); }
