@@ -68,10 +68,10 @@ def test_the_band_of_a_cholesteric_lies_between_n_o_p_and_n_e_p_and_keeps_the_ha
     assert band is not None and band.hand == "left" and band.reflectance > 0.9 and band.dissymmetry > 1.7
     assert band.low_nm == pytest.approx(1.5 * 350, abs=8) and band.high_nm == pytest.approx(1.7 * 350, abs=8)
     at = int(np.argmin(np.abs(waves - band.peak_nm)))
-    assert found.kept[at] > 0.9
+    assert found.preserved[at] > 0.9
     mirror = nacre.spectrum(nacre.material({"family": "film", "substrate": "Al"}), 0.0, waves, "mueller")
     reversed_hand = circular_reflection(mirror.mueller_reflected[0])
-    assert selective_band(reversed_hand, waves) is None and np.all(reversed_hand.kept < 1e-9)
+    assert selective_band(reversed_hand, waves) is None and np.all(reversed_hand.preserved < 1e-9)
 
 
 def test_psi_and_delta_of_a_bare_wafer_are_those_of_its_fresnel_coefficients() -> None:

@@ -316,9 +316,9 @@ def test_an_animation_keeps_no_frame_of_another_texture(tmp_path: Path) -> None:
     path = textured(tmp_path)
     movie = tmp_path / "turn.gif"
     nacre.render.animate(nacre.load(path), "light", movie, frames=2, **SMALL)
-    assert nacre.render.animate(nacre.load(path), "light", movie, frames=2, **SMALL).kept == 2
+    assert nacre.render.animate(nacre.load(path), "light", movie, frames=2, **SMALL).reused == 2
     grey(tmp_path / "map.png", 200)
-    assert nacre.render.animate(nacre.load(path), "light", movie, frames=2, **SMALL).kept == 0
+    assert nacre.render.animate(nacre.load(path), "light", movie, frames=2, **SMALL).reused == 0
 
 
 @pytest.mark.render
@@ -327,7 +327,7 @@ def test_an_animation_keeps_no_frame_of_other_components(tmp_path: Path) -> None
     movie = tmp_path / "turn.gif"
     for components in ("specular", "diffuse"):
         made = nacre.render.animate(nacre.material(lacquer), "light", movie, frames=1, components=components, **SMALL)
-        assert made.kept == 0
+        assert made.reused == 0
 
 
 @pytest.mark.render
@@ -339,7 +339,7 @@ def test_a_damaged_frame_is_rendered_again(tmp_path: Path) -> None:
     content[place] ^= 0xFF
     frames[0].write_bytes(content)
     frames[1].write_bytes(frames[1].read_bytes()[:-30])
-    assert nacre.render.animate(material, "light", movie, frames=3, **SMALL).kept == 1
+    assert nacre.render.animate(material, "light", movie, frames=3, **SMALL).reused == 1
 
 
 @pytest.mark.render
@@ -360,4 +360,4 @@ def test_an_animation_takes_which_way_a_mesh_is_up(tmp_path: Path) -> None:
     material, mesh = nacre.material({"family": "film", "substrate": "Si"}), tmp_path / "box.ply"
     for up in ("x", "y"):
         made = nacre.render.animate(material, "light", tmp_path / "t.gif", frames=1, shape=mesh, up=up, **SMALL)
-        assert made.kept == 0
+        assert made.reused == 0

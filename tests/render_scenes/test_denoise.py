@@ -360,7 +360,7 @@ def test_frames_without_the_denoiser_are_not_kept_beside_frames_with_it(
         made = nacre.render.animate(
             nacre.material(GOLD), "light", tmp_path / "a.gif", frames=2, size=(16, 16), spp=1, progress=False
         )
-        return made.kept
+        return made.reused
 
     monkeypatch.setenv("NACRE_DENOISE", "0")
     assert [kept(), kept()] == [0, 2]

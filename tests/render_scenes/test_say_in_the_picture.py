@@ -312,8 +312,8 @@ def test_nothing_asked_is_the_scenes_own_camera() -> None:
 def test_animations_take_the_same_wishes(tmp_path: Path) -> None:
     options = {"size": (16, 16), "spp": 1, "frames": 2, "progress": False}
     made = nacre.render.animate(GREY, "light", tmp_path / "a.gif", view="40,20", tone="filmic", **options)
-    assert made.kept == 0
-    assert nacre.render.animate(GREY, "light", tmp_path / "a.gif", view="40,20", tone="filmic", **options).kept == 2
-    assert nacre.render.animate(GREY, "light", tmp_path / "a.gif", view="41,20", tone="filmic", **options).kept == 0
+    assert made.reused == 0
+    assert nacre.render.animate(GREY, "light", tmp_path / "a.gif", view="40,20", tone="filmic", **options).reused == 2
+    assert nacre.render.animate(GREY, "light", tmp_path / "a.gif", view="41,20", tone="filmic", **options).reused == 0
     with pytest.raises(NacreError, match="animations know no transparency"):
         nacre.render.animate(GREY, "light", tmp_path / "b.gif", background="transparent", **options)

@@ -351,11 +351,11 @@ def test_an_animation_resumes_where_it_was_stopped(tmp_path: Path, grey: Any, mo
     assert not (tmp_path / "turn.gif").exists()
     monkeypatch.setattr(pictures, "render", real)
     done = nacre.render.animate(grey, "light", tmp_path / "turn.gif", frames=4, **SMALL)
-    assert done.kept == 2 and not done.interrupted
+    assert done.reused == 2 and not done.interrupted
     exposures = {read_provenance(name)["exposure_stops"] for name in done.frames}
     assert len(exposures) == 1
     again = nacre.render.animate(grey, "light", tmp_path / "turn.gif", frames=4, **{**SMALL, "seed": 9})
-    assert again.kept == 0
+    assert again.reused == 0
 
     from PIL import Image
 

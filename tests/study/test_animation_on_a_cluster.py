@@ -28,11 +28,11 @@ def test_a_cluster_renders_the_frames_of_one_machine(tmp_path: Path) -> None:
         there = nacre.render.animate(
             film, motion, tmp_path / "there.gif", frames=3, workers=Workers(cluster=address), **SMALL
         )
-    assert there.path is not None and there.kept == 0
+    assert there.path is not None and there.reused == 0
     for one, two in zip(here.frames, there.frames, strict=True):
         np.testing.assert_array_equal(np.asarray(Image.open(one)), np.asarray(Image.open(two)))
     again = nacre.render.animate(film, motion, tmp_path / "there.gif", frames=3, **SMALL)
-    assert again.kept == 3  # the frames carry the key of this machine's frames
+    assert again.reused == 3  # the frames carry the key of this machine's frames
 
 
 def test_a_cluster_renders_no_single_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -69,7 +69,7 @@ def test_a_lost_worker_costs_no_frame(tmp_path: Path, cluster: str) -> None:
     there = nacre.render.animate(
         film, motion, tmp_path / "there.gif", workers=Workers(cluster=cluster), progress=kills, **small
     )
-    assert kills.killed == 1 and there.path is not None and there.kept == 0
+    assert kills.killed == 1 and there.path is not None and there.reused == 0
     for one, two in zip(here.frames, there.frames, strict=True):
         np.testing.assert_array_equal(np.asarray(Image.open(one)), np.asarray(Image.open(two)))
 

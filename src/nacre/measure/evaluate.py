@@ -343,14 +343,14 @@ class CircularReflection:
     Attributes:
         right, left: reflectance of right and left circular light.
         dissymmetry: g = 2 (right - left) / (right + left), from -2 to 2; 0 where nothing is reflected.
-        kept: share of the stronger hand's reflected light that preserves its hand, as in a cholesteric; a mirror
+        preserved: share of the stronger hand's reflected light that preserves its hand, as in a cholesteric; a mirror
             reverses it.
     """
 
     right: Array
     left: Array
     dissymmetry: Array
-    kept: Array
+    preserved: Array
 
 
 @dataclass(frozen=True)
@@ -395,8 +395,8 @@ def circular_reflection(mueller: Array) -> CircularReflection:
     sign = np.where(right >= left, 1.0, -1.0)
     stronger = np.maximum(right, left)
     same = 0.5 * (stronger + sign * (mueller[..., 3, 0] + sign * mueller[..., 3, 3]))
-    kept = np.where(stronger > LEAST_POWER, same / np.where(stronger > LEAST_POWER, stronger, 1.0), 0.0)
-    return CircularReflection(right, left, dissymmetry, kept)
+    preserved = np.where(stronger > LEAST_POWER, same / np.where(stronger > LEAST_POWER, stronger, 1.0), 0.0)
+    return CircularReflection(right, left, dissymmetry, preserved)
 
 
 def selective_band(reflection: CircularReflection, wavelengths_nm: Array) -> SelectiveBand | None:

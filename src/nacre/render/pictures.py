@@ -116,12 +116,12 @@ class Animation:
     Attributes:
         path: the movie, or None if interrupted.
         frames: the numbered pictures.
-        kept: frames reused from an earlier run.
+        reused: frames reused from an earlier run.
     """
 
     path: Path | None
     frames: tuple[Path, ...]
-    kept: int
+    reused: int
     interrupted: bool
 
 
@@ -206,8 +206,8 @@ def animate(
             is_complete = is_complete and run.finish(range(start, min(start + step, frames)), run.stops, workers)
         if is_complete:
             join(names, path)
-            return Animation(path, names, run.kept, False)
-    return Animation(None, tuple(name for name in names if name in run.finished), run.kept, True)
+            return Animation(path, names, run.reused, False)
+    return Animation(None, tuple(name for name in names if name in run.finished), run.reused, True)
 
 
 @dataclass(frozen=True)
@@ -275,13 +275,13 @@ class _Run:
 
     Attributes:
         finished: files of frames with equal settings, in the order of completion.
-        kept: frames of an earlier run.
+        reused: frames of an earlier run.
         stops: exposure of the first frame.
     """
 
     def __init__(self, series: _Series, names: tuple[Path, ...], report: ProgressCallback) -> None:
         self.finished: list[Path] = []
-        self.kept = 0
+        self.reused = 0
         self.stops = 0.0
         self._series, self._names, self._report = series, names, report
         self._begun = time.monotonic()
@@ -330,7 +330,7 @@ class _Run:
         if old.get("frame_key") != key:
             return False
         self.finished.append(name)
-        self.kept += 1
+        self.reused += 1
         self.stops = float(old["exposure_stops"]) if index == 0 else self.stops
         self._report(len(self.finished), len(self._names), 0.0)
         return True
@@ -343,7 +343,7 @@ class _Run:
         write_picture(self._names[index], pixels, {**stats, **moving, "pixels": digest})
         self.finished.append(self._names[index])
         self.stops = float(stats["exposure_stops"]) if index == 0 else self.stops
-        made = len(self.finished) - self.kept  # kept frames take no time
+        made = len(self.finished) - self.reused  # reused frames take no time
         remaining_s = (time.monotonic() - self._begun) / made * (total - len(self.finished))
         self._report(len(self.finished), total, remaining_s)
 
