@@ -27,10 +27,10 @@ def test_every_row_comes_from_one_tile_that_sees_its_surroundings(
     size: tuple[int, int], pixels: int, margin: int
 ) -> None:
     rows, tiles = divide(size, pixels, margin)
-    assert [row for tile in tiles for row in range(tile.kept.start, tile.kept.stop)] == list(range(size[1]))
+    assert [row for tile in tiles for row in range(tile.rows.start, tile.rows.stop)] == list(range(size[1]))
     for tile in tiles:
-        assert 0 <= tile.first <= max(tile.kept.start - margin, 0)
-        assert min(tile.kept.stop + margin, size[1]) <= tile.first + rows <= size[1]
+        assert 0 <= tile.first <= max(tile.rows.start - margin, 0)
+        assert min(tile.rows.stop + margin, size[1]) <= tile.first + rows <= size[1]
 
 
 def _in_tiles(monkeypatch: pytest.MonkeyPatch, pixels: int, **options: Any) -> Any:

@@ -401,8 +401,8 @@ class _Path:
     weight: Any
     count: Any
     is_first: Any  # transmission has been followed without interruption
-    kept: Any  # ray for the second path
-    kept_weight: Any
+    deferred: Any  # ray for the second path
+    deferred_weight: Any
     splits: Any
     active: Any
 
@@ -452,8 +452,8 @@ class AovIntegrator(Plugin):
         on, passed = self._of_kind(self.through, si, one, two, active)
         is_both = path.is_first & (path.splits > 0) & (dr.max(share) > 0.0) & (dr.max(passed) > 0.0)
         goes_on = (dr.mean(passed) > dr.mean(share)) & (is_both ^ True)
-        path.kept = dr.select(is_both, si.spawn_ray(si.to_world(on)), path.kept)
-        path.kept_weight = dr.select(is_both, path.weight * passed, path.kept_weight)
+        path.deferred = dr.select(is_both, si.spawn_ray(si.to_world(on)), path.deferred)
+        path.deferred_weight = dr.select(is_both, path.weight * passed, path.deferred_weight)
         path.splits = dr.select(is_both, path.splits - 1, path.splits)
         path.is_first = path.is_first & goes_on
         return matt, dr.select(goes_on, on, way), dr.select(goes_on, passed, share)
@@ -481,11 +481,11 @@ class AovIntegrator(Plugin):
             path.active = path.active & (dr.max(path.weight) > 0.0)
             path.ray, path.count = si.spawn_ray(si.to_world(way)), path.count + 1
             if not self.sampling.draws:  # the second path, once the first has ended
-                turns = (path.active ^ True) & (dr.max(path.kept_weight) > 0.0)
-                path.ray = dr.select(turns, path.kept, path.ray)
-                path.weight = dr.select(turns, path.kept_weight, path.weight)
+                turns = (path.active ^ True) & (dr.max(path.deferred_weight) > 0.0)
+                path.ray = dr.select(turns, path.deferred, path.ray)
+                path.weight = dr.select(turns, path.deferred_weight, path.weight)
                 path.count = dr.select(turns, 1, path.count)
-                path.kept_weight = dr.select(turns, 0.0, path.kept_weight)
+                path.deferred_weight = dr.select(turns, 0.0, path.deferred_weight)
                 path.active, path.is_first = path.active | turns, path.is_first | turns
             return path, sampler
 

@@ -315,7 +315,7 @@ class _Passes:
                 for name, values in denoise.first_hits(np.asarray(total / done, dtype=float)).items():
                     if name not in into:
                         into[name] = np.empty((self.camera.size[1], *values.shape[1:]), dtype=np.float32)
-                    into[name][tile.kept] = values[tile.inner]
+                    into[name][tile.rows] = values[tile.inner]
 
 
 def _aov_counts(settings: RenderSettings, sampling: denoise.AovSampling) -> tuple[int, int]:
@@ -585,16 +585,16 @@ class Tile:
 
     Attributes:
         first: the first row, in the picture.
-        kept: rows that this tile contributes, in the picture.
+        rows: those that this tile contributes, in the picture.
     """
 
     first: int
-    kept: slice
+    rows: slice
 
     @property
     def inner(self) -> slice:
         """Rows that it contributes, in the tile."""
-        return slice(self.kept.start - self.first, self.kept.stop - self.first)
+        return slice(self.rows.start - self.first, self.rows.stop - self.first)
 
 
 @dataclass(frozen=True)
@@ -669,7 +669,7 @@ class TiledCamera:
                 return made
             if picture is None:
                 picture = np.empty((self.size[1], *made.shape[1:]), dtype=np.float32)
-            picture[tile.kept] = made[tile.inner]
+            picture[tile.rows] = made[tile.inner]
         return np.asarray(picture, dtype=np.float32)
 
     def render_tile(self, tile: Tile, scene: Any, integrator: Any, samples: Pass) -> NDArray[np.float32]:

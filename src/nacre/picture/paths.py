@@ -99,9 +99,9 @@ class _Path:
     is_delta: Any  # the last event was specular
     has_spread: Any  # a surface has scattered the light
     is_soft: Any  # the ray meets the soft lamp, not the environment
-    kept: Any  # ray transmitted at a split
-    kept_weight: Any
-    is_kept: Any
+    deferred: Any  # ray transmitted at a split
+    deferred_weight: Any
+    is_deferred: Any
     splits: Any  # splits left
     is_seen: Any  # the pixel sees a surface or an environment
     active: Any
@@ -192,7 +192,7 @@ class Paths(Plugin):
         is_broad = path.active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         is_first = path.base == 0.0
         if self.splits:
-            is_first = is_first & ((path.is_kept & (dr.max(path.weight) < FAINT)) ^ True)
+            is_first = is_first & ((path.is_deferred & (dr.max(path.weight) < FAINT)) ^ True)
         draws = mi.UInt32(self.draws)
         if self.objects:
             draws = dr.select(is_one_of(si, self.objects), draws, GROUND_DRAWS)
@@ -226,9 +226,9 @@ class Paths(Plugin):
         straight = bsdf.eval_null_transmission(si, path.active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null))
         share = dr.clip(dr.mean(straight), 0.0, 1.0)
         is_both = path.active & (share > 0.0) & (path.depth == 0) & (path.splits > 0)
-        path.kept = dr.select(is_both, si.spawn_ray(path.ray.d), path.kept)
-        path.kept_weight = dr.select(is_both, path.weight * straight, path.kept_weight)
-        path.is_kept, path.splits = path.is_kept | is_both, dr.select(is_both, path.splits - 1, path.splits)
+        path.deferred = dr.select(is_both, si.spawn_ray(path.ray.d), path.deferred)
+        path.deferred_weight = dr.select(is_both, path.weight * straight, path.deferred_weight)
+        path.is_deferred, path.splits = path.is_deferred | is_both, dr.select(is_both, path.splits - 1, path.splits)
         # probability by square roots, because the reflection is often brighter
         root, other = dr.sqrt(share), dr.sqrt(1.0 - share)
         root = dr.select(is_both, 0.0, root / (root + other))
@@ -275,16 +275,19 @@ class Paths(Plugin):
 
     def _resume(self, path: _Path) -> None:
         """Continue with the last split's transmitted ray once a path has ended."""
-        turns = path.is_kept & (path.active ^ True)
-        path.ray, path.weight = dr.select(turns, path.kept, path.ray), dr.select(turns, path.kept_weight, path.weight)
+        turns = path.is_deferred & (path.active ^ True)
+        path.ray, path.weight = (
+            dr.select(turns, path.deferred, path.ray),
+            dr.select(turns, path.deferred_weight, path.weight),
+        )
         path.eta, path.pdf = dr.select(turns, 1.0, path.eta), dr.select(turns, 1.0, path.pdf)
         path.depth, path.base = dr.select(turns, 0, path.depth), dr.select(turns, 0.0, path.base)
         path.is_delta, path.active = path.is_delta | turns, path.active | turns
         stays = turns ^ True
-        path.has_spread, path.is_soft, path.is_kept = (
+        path.has_spread, path.is_soft, path.is_deferred = (
             path.has_spread & stays,
             path.is_soft & stays,
-            path.is_kept & stays,
+            path.is_deferred & stays,
         )
 
 

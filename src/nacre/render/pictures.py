@@ -307,7 +307,7 @@ class _Run:
         for index in part:
             subject = self._series.subject(index)
             keys[index] = self._series.key(index, subject, exposure)
-            if not self._is_kept(index, keys[index]):
+            if not self._is_reusable(index, keys[index]):
                 items.append((index, series.material if series.fixed else subject, exposure))
         if workers.cluster and not all(isinstance(subject, Material | Bsdf | Mapping) for _, subject, _ in items):
             raise UnsupportedError("animate: a cluster renders nacre materials and tables, not this object")
@@ -323,7 +323,7 @@ class _Run:
             return False
         return True
 
-    def _is_kept(self, index: int, key: str) -> bool:
+    def _is_reusable(self, index: int, key: str) -> bool:
         """Return whether an earlier run wrote this frame; if so, record it as finished."""
         name = self._names[index]
         old = _finished(name)
