@@ -599,12 +599,13 @@ def is_picture(name: str) -> bool:
     return Path(name).suffix.lower() in SUFFIXES
 
 
-def grey_levels(path: Path, where: str) -> Array:
+def grey_levels(path: str | Path, where: str = "") -> Array:
     """Return picture grey levels, `[row, column]`, 0 to 1.
 
     Raises:
-        NacreError: unreadable, too large, or of one level; the message begins with `where`.
+        NacreError: unreadable, too large, or of one level; the message begins with `where` or the path.
     """
+    path, where = Path(path), where or str(path)
     size_of(path, where, MAX_FILE_BYTES)
     with opened_image(path, where, MOST_PIXELS) as image:
         levels = np.asarray(image if image.mode in ("I", "F", "I;16") else image.convert("L"), dtype=float)
