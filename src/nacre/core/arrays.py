@@ -135,9 +135,12 @@ def barycentric_matrix(nodes: Array, weights: Array, points: Array) -> Array:
     """Return the matrix `[point, node]` of polynomial interpolation with barycentric weights (Berrut, Trefethen)."""
     gap = points[:, None] - nodes
     is_node = np.abs(gap) < 1e-14
-    terms = weights / np.where(is_node, 1.0, gap)
-    matrix = terms / terms.sum(axis=1, keepdims=True)
-    return np.where(is_node.any(axis=1, keepdims=True), is_node.astype(float), matrix)
+    gap[is_node] = 1.0
+    matrix = np.divide(weights, gap, out=gap)
+    matrix /= matrix.sum(axis=1, keepdims=True)
+    exact = is_node.any(axis=1)
+    matrix[exact] = is_node[exact]
+    return matrix
 
 
 EIGENVALUE_NODES = 100  # numpy solves a dense eigenvalue problem, a quarter of a second for 850 nodes
