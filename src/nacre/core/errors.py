@@ -1,10 +1,12 @@
-"""Errors that a user can cause, with one-line messages.
+"""Errors that a user can cause, with one-line messages, and warnings that appear once.
 
 A message names the place (file and key), the given value and the allowed values. The command line prints it and exits
 with status 2; the API raises the same error.
 """
 
 import difflib
+import functools
+import logging
 from collections.abc import Iterable
 
 
@@ -40,3 +42,9 @@ def did_you_mean(got: str, allowed: Iterable[str]) -> str:
     by_lower = {word.lower(): word for word in allowed}
     close = difflib.get_close_matches(got.lower(), by_lower, n=1, cutoff=0.6)
     return f' Did you mean "{by_lower[close[0]]}"?' if close else ""
+
+
+@functools.lru_cache(maxsize=256)
+def warn_once(source: str, message: str) -> None:
+    """Log a warning, the same one once per process."""
+    logging.getLogger("nacre").warning("%s: %s", source, message)

@@ -30,7 +30,7 @@ from nacre.bsdf.texture import named_numbers, refuse_new_number, refuse_place
 from nacre.core import disk_cache
 from nacre.core.arrays import Array, floats, wavelength_grid
 from nacre.core.disk_cache import cache_arrays, cached, cached_arrays
-from nacre.core.errors import NacreError, RecipeError, UnsupportedError
+from nacre.core.errors import NacreError, RecipeError, UnsupportedError, warn_once
 from nacre.core.files import DESIGN_RECIPE, named, read_text, short_name
 from nacre.core.html import png_bytes, png_uri
 from nacre.core.machine import check_memory
@@ -75,11 +75,6 @@ STUDY_TABLES = (
     "geometry",
     "correlation",
 )  # keys of fits and tolerances; they do not change the optics
-
-
-@functools.lru_cache(maxsize=256)  # each message once per process
-def _warn_once(source: str, line: str) -> None:
-    logger.warning("%s: %s", source, line)
 
 
 @dataclass(frozen=True)
@@ -163,7 +158,7 @@ class Material:
 
     def _solved(self, grid: NDArray[np.float64] | None, keep: bool = True) -> Bsdf:
         for warning in self.model.warnings:
-            _warn_once(self.context.source, warning)
+            warn_once(self.context.source, warning)
         if grid is not None:
             traits = self.model.traits
             check_memory(float(traits.bytes_per_wavelength) * grid.size, f"a {traits.noun} at {grid.size} wavelengths")
@@ -172,7 +167,7 @@ class Material:
         key = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
         bsdf = cached(key, lambda: self.model.bsdf(grid), _load_entry, _save_entry if keep else _discard)
         for warning in bsdf.provenance.get("warnings", ()):
-            _warn_once(self.context.source, warning)
+            warn_once(self.context.source, warning)
         return bsdf
 
     def values_at(
@@ -238,7 +233,7 @@ class Material:
         if grid is None and spectrum is not None and isinstance(self.model, Diffracting):
             remark = sampling_warning(np.stack(list(spectrum.parts().values())), spectrum.wavelengths_nm)
             if remark:
-                _warn_once(self.context.source, remark)
+                warn_once(self.context.source, remark)
         if spectrum is None:
             if polarisation != "both":
                 traits = self.model.traits
@@ -367,7 +362,7 @@ class Material:
             )  # fmt: skip
         made = material_from_data(self.data, dataclasses.replace(self.context, is_low_fidelity=True))
         if isinstance(made.model, Diffracting) and made.model.coarse_warning and not (is_reported or is_corrected):
-            _warn_once(self.context.source, made.model.coarse_warning)
+            warn_once(self.context.source, made.model.coarse_warning)
         return made
 
     def at_full_fidelity(self) -> Material:
@@ -600,7 +595,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
     data = plain_data(data, context.source)
     spec, context = read_recipe(data, context)
     for remark in lone_axes(data):
-        _warn_once(context.source, remark)
+        warn_once(context.source, remark)
     if spec is not None:
         return Material(spec.build(context), data, context)  # type: ignore[attr-defined]  # every family has it
     numbers = varying_numbers(data, family_spec(data.get("family"), context.source).varies_by_nodes)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-import logging
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -18,11 +16,9 @@ from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.orders import OrdersLobe, narrowest_nm
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array, direction, floats
-from nacre.core.errors import UnsupportedError
+from nacre.core.errors import UnsupportedError, warn_once
 from nacre.core.machine import check_memory
 from nacre.light.tristimulus import spectrum_to_xyz, spline_matrix
-
-logger = logging.getLogger("nacre")
 
 BYTES_PER_VALUE = 40  # per pair and wavelength: the sum, the values of one lobe, and intermediate results
 UNIT_TOLERANCE = 1e-3  # deviation of a vector's length from 1
@@ -158,19 +154,14 @@ def _warn_of_lines(bsdf: Bsdf) -> None:
         message = (
             f"at fixed directions its orders are lines {line:.2g} nm wide, between wavelengths {steps.max():g} nm apart"
         )
-        _warn_once(str(bsdf.provenance.get("source", "material")), f"{message}: these values are samples, not means")
+        warn_once(str(bsdf.provenance.get("source", "material")), f"{message}: these values are samples, not means")
 
 
 def warn_of_table(bsdf: Bsdf, theta_rad: Array) -> None:
     """Warn of incidences `theta_rad` (> pi/2: from behind) at which the tables over angle are inexact."""
     if ranges := bsdf.error_ranges(theta_rad):
         source = str(bsdf.provenance.get("source", "material"))
-        _warn_once(source, f"{ranges}; the spectrum of a film's recipe is exact")
-
-
-@functools.lru_cache(maxsize=256)  # each message once per process
-def _warn_once(source: str, message: str) -> None:
-    logger.warning("%s: %s", source, message)
+        warn_once(source, f"{ranges}; the spectrum of a film's recipe is exact")
 
 
 def _facet_angles(wi: Array, wo: Array) -> Array:

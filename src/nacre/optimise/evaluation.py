@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
+from nacre.core.errors import warn_once
 from nacre.core.jit import clock
 from nacre.families.contract import Diffracting, ExpensiveMethod, Mixed, is_direct
 from nacre.light import (
@@ -176,7 +177,7 @@ def _warn_of_lines(material: Material, measured: Measurement, geometries: Sequen
     if rows and isinstance(material.model, Diffracting):
         warning = sampling_warning(measured.factors[rows], measured.wavelengths_nm)
         if warning:
-            logger.warning("%s: %s", material.context.source, warning)
+            warn_once(material.context.source, warning)
 
 
 def geometries_of(targets: Sequence[Target]) -> list[Geometry]:
