@@ -114,7 +114,9 @@ def _why_no_gpu() -> str:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Stop a test before its fixtures when the machine cannot run it."""
+    """Stop a test before its fixtures when the machine cannot run it; let warnings of earlier tests appear again."""
+    if errors := sys.modules.get("nacre.core.errors"):
+        errors.warn_once.cache_clear()
     if item.get_closest_marker("render") and (reason := _why_no_render()):
         pytest.skip(f"{NO_RENDER} {reason}")
     if item.get_closest_marker("gpu") and (reason := _why_no_gpu()):
